@@ -1,0 +1,1 @@
+"""The methods UniPS is compared with, behind one signature."""

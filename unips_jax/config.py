@@ -1,0 +1,185 @@
+"""Configuration: frozen dataclasses, checked on construction, saved as JSON.
+
+`ModelConfig` sizes the network and is stored inside every weights file; `Config`
+describes a training run and is saved with every checkpoint. The defaults of
+`ModelConfig` are the paper's (UniPS, Ikehata, CVPR 2022, Sec. 4 and supplement).
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from typing import Any, Literal, TypeVar
+
+_T = TypeVar("_T")
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ValueError(message)
+
+
+def _require_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    _require(value in choices, f"{name}: expected one of {choices}, got {value!r}")
+
+
+def _require_positive(config: Any, *names: str) -> None:
+    for name in names:
+        value = getattr(config, name)
+        _require(value > 0, f"{name}: expected a positive number, got {value}")
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelConfig:
+    """Sizes and variants of the network.
+
+    Attributes:
+        canonical_size: side in pixels of the images the encoder sees; a multiple of 4.
+        patch_channels: widths of the patch embedding's first two pairs of
+            convolutions (the last width is `embed_dim`).
+        embed_dim: channels of Swin's first stage; doubles at every stage.
+        depths: Swin blocks per stage.
+        num_heads: attention heads per Swin stage; must divide the stage's channels.
+        window_size: side of Swin's windows, in tokens.
+        mlp_ratio: hidden width of Swin's MLPs over their input width.
+        drop_path_rate: stochastic depth of the last Swin block, rising linearly from 0.
+        communication: where the images exchange features: between backbone and
+            fusion ("pre", the paper's choice), after every Swin stage ("during"),
+            after fusion ("post") or nowhere ("none"). Paper Sec. 4.1 and Table 3.
+        communication_heads: attention heads of the communication blocks.
+        communication_mlp_ratio: hidden width of their MLPs over the input width.
+        context_dim: channels of the global lighting contexts (UPerNet's width).
+        pool_scales: bins per side of the pyramid pooling module.
+        attention: arithmetic of set attention: "pre_norm" is the paper's standard
+            Transformer layer, "released" what the authors' network computes.
+        aggregation: how a pixel's set becomes one vector: "pma" or "max".
+        aggregation_layers: set-attention layers before it.
+        hidden_dim: width of the aggregation.
+        aggregation_heads: its attention heads.
+        aggregation_mlp_dim: hidden width of its MLPs.
+        pma_mlp_dim: hidden width of the MLP in the pooling by attention.
+        predictor_dim: hidden width of the normal predictor.
+        dropout_rate: dropout in set attention, training only.
+        context_sampling: where a pixel reads the contexts: at its centre ("center",
+            clamped at the border) or at its corner with zeros beyond the border
+            ("corner", half a pixel off, as the authors' weights need).
+        dtype: compute type, "float32" or "bfloat16"; parameters stay float32.
+        remat: recompute Swin blocks and set attention in the backward pass.
+    """
+
+    canonical_size: int = 256
+    patch_channels: tuple[int, int] = (48, 96)
+    embed_dim: int = 96
+    depths: tuple[int, ...] = (2, 2, 18, 2)
+    num_heads: tuple[int, ...] = (3, 6, 12, 24)
+    window_size: int = 7
+    mlp_ratio: float = 4.0
+    drop_path_rate: float = 0.2
+    communication: Literal["none", "during", "pre", "post"] = "pre"
+    communication_heads: int = 8
+    communication_mlp_ratio: float = 2.0
+    context_dim: int = 256
+    pool_scales: tuple[int, ...] = (1, 2, 3, 6)
+    attention: Literal["pre_norm", "released"] = "pre_norm"
+    aggregation: Literal["pma", "max"] = "pma"
+    aggregation_layers: int = 3
+    hidden_dim: int = 384
+    aggregation_heads: int = 8
+    aggregation_mlp_dim: int = 1024
+    pma_mlp_dim: int = 512
+    predictor_dim: int = 192
+    dropout_rate: float = 0.1
+    context_sampling: Literal["center", "corner"] = "center"
+    dtype: Literal["float32", "bfloat16"] = "float32"
+    remat: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        _require_positive(
+            self,
+            *("canonical_size", "embed_dim", "window_size", "mlp_ratio"),
+            *("communication_heads", "communication_mlp_ratio", "context_dim"),
+            *("hidden_dim", "aggregation_heads", "aggregation_mlp_dim"),
+            *("pma_mlp_dim", "predictor_dim"),
+        )
+        _require(
+            self.canonical_size % 4 == 0,
+            f"canonical_size: expected a multiple of 4, got {self.canonical_size}",
+        )
+        _require(
+            len(self.depths) == len(self.num_heads) >= 1,
+            f"depths and num_heads: expected one entry per stage in both, got "
+            f"{self.depths} and {self.num_heads}",
+        )
+        for stage, heads in enumerate(self.num_heads):
+            dim = self.stage_dim(stage)
+            _require(
+                dim % heads == 0,
+                f"num_heads[{stage}]: expected a divisor of the stage's {dim} "
+                f"channels, got {heads}",
+            )
+            _require(
+                self.communication not in ("pre", "during")
+                or dim % self.communication_heads == 0,
+                f"communication_heads: expected a divisor of stage {stage}'s {dim} "
+                f"channels, got {self.communication_heads}",
+            )
+        _require(
+            self.hidden_dim % self.aggregation_heads == 0,
+            f"aggregation_heads: expected a divisor of hidden_dim={self.hidden_dim}, "
+            f"got {self.aggregation_heads}",
+        )
+        for name in ("drop_path_rate", "dropout_rate"):
+            rate = getattr(self, name)
+            _require(0 <= rate < 1, f"{name}: expected a rate in [0, 1), got {rate}")
+        _require_choice(
+            "communication", self.communication, ("none", "during", "pre", "post")
+        )
+        _require_choice("attention", self.attention, ("pre_norm", "released"))
+        _require_choice("aggregation", self.aggregation, ("pma", "max"))
+        _require_choice("context_sampling", self.context_sampling, ("center", "corner"))
+        _require_choice("dtype", self.dtype, ("float32", "bfloat16"))
+
+    def stage_dim(self, stage: int) -> int:
+        """Channels of Swin's stage number `stage`, counted from 0."""
+        return self.embed_dim * 2**stage
+
+
+def to_json(config: Any) -> str:
+    """Writes a configuration dataclass as JSON text."""
+    return json.dumps(dataclasses.asdict(config), sort_keys=True)
+
+
+def from_json(cls: type[_T], text: str) -> _T:
+    """Reads back what `to_json` wrote.
+
+    Args:
+        cls: the configuration's class.
+        text: JSON text.
+
+    Raises:
+        ValueError: if a field is unknown, or a value is not acceptable.
+    """
+    return _from_mapping(cls, json.loads(text))
+
+
+def _from_mapping(cls: type[_T], values: Mapping[str, Any]) -> _T:
+    fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    unknown = sorted(set(values) - set(fields))
+    _require(
+        not unknown,
+        f"{cls.__name__}: unknown fields {unknown}; this version knows "
+        f"{sorted(fields)}. Was the file written by a newer unips_jax?",
+    )
+    kwargs = {}
+    for name, value in values.items():
+        kind = fields[name].type
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+            value = _from_mapping(kind, value)
+        elif isinstance(value, list):
+            value = tuple(value)
+        kwargs[name] = value
+    return cls(**kwargs)

@@ -1,0 +1,1 @@
+"""Training data read from disk: NumPy and OpenCV only, never JAX."""

@@ -1,0 +1,1 @@
+"""Benchmarks, the resumable runner, sheets and reports."""

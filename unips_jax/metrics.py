@@ -1,0 +1,45 @@
+"""Angular errors of normal maps."""
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+
+def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
+    """Angle between two fields of vectors; their lengths do not matter.
+
+    Computed as atan2(|a x b|, a . b), which keeps full precision near 0 and 180
+    degrees where the arc cosine loses half of the digits.
+
+    Args:
+        predicted: `[..., 3]`.
+        true: `[..., 3]`, broadcast against `predicted`.
+
+    Returns:
+        Angles in degrees, `[...]`, in [0, 180]; 90 where either vector is zero, as
+        DiLiGenT's published table counts it.
+    """
+    predicted = jnp.asarray(predicted, jnp.float32)
+    true = jnp.asarray(true, jnp.float32)
+    cross = jnp.linalg.norm(jnp.cross(predicted, true), axis=-1)
+    dot = jnp.sum(predicted * true, axis=-1)
+    angle = jnp.rad2deg(jnp.arctan2(cross, dot))
+    return jnp.where((cross == 0) & (dot == 0), 90.0, angle)
+
+
+def mean_angular_error_deg(
+    predicted: ArrayLike, true: ArrayLike, mask: ArrayLike
+) -> Array:
+    """Mean angle over the mask, in degrees.
+
+    Args:
+        predicted: `[..., 3]`.
+        true: `[..., 3]`.
+        mask: `[...]`, non-zero where the error counts.
+
+    Returns:
+        A scalar; NaN if the mask is empty.
+    """
+    inside = jnp.asarray(mask) > 0
+    error = angular_error_deg(predicted, true)
+    return jnp.sum(jnp.where(inside, error, 0.0)) / jnp.sum(inside)

@@ -1,0 +1,1 @@
+"""The UniPS network as Flax Linen modules."""

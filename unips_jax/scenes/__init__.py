@@ -1,0 +1,1 @@
+"""Procedural objects, materials and lights, rendered in JAX."""
