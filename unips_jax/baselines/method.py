@@ -1,0 +1,53 @@
+"""The one signature every method has, UniPS included."""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from unips_jax.command import InputError
+
+
+class Lights(NamedTuple):
+    """Known lights, one distant light per image.
+
+    Attributes:
+        directions: `[N, 3]`, unit vectors from the surface to the light, camera frame.
+        intensities: `[N, 3]`, per colour channel.
+    """
+
+    directions: np.ndarray
+    intensities: np.ndarray
+
+
+class Unsupported(InputError):
+    """The method cannot work on this input; one line says what it lacks."""
+
+
+class Method(Protocol):
+    """Estimates an object's normals."""
+
+    def __call__(
+        self,
+        images: np.ndarray,
+        mask: np.ndarray,
+        *,
+        lights: Lights | None = None,
+        focal: float | None = None,
+    ) -> np.ndarray:
+        """Runs the method.
+
+        Args:
+            images: `[N, H, W, 3]`, linear RGB of any scale, float32.
+            mask: `[H, W]`, bool, True on the object.
+            lights: known lights; methods that need none ignore them.
+            focal: focal length in pixels of these images, principal point at their
+                centre; None where unknown or orthographic.
+
+        Returns:
+            Normals `[H, W, 3]`, float32: unit length inside the mask (x right, y up, z
+            to the viewer), zero outside.
+
+        Raises:
+            Unsupported: if the input lacks something the method needs.
+        """
+        ...
