@@ -1,0 +1,16 @@
+"""Fixtures that several test files share."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared_dir() -> Path:
+    """Large reference data kept beside the repository, or where UNIPS_SHARED says."""
+    beside = Path(__file__).resolve().parents[2] / "shared"
+    path = Path(os.environ.get("UNIPS_SHARED", beside))
+    if not path.is_dir():
+        pytest.skip(f"reference data not found at {path}; set UNIPS_SHARED")
+    return path

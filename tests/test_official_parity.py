@@ -1,0 +1,97 @@
+"""The network with the authors' arithmetic reproduces the authors' arrays."""
+
+import dataclasses
+import json
+import math
+import zlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from unips_jax import ops
+from unips_jax.metrics import angular_error_deg
+from unips_jax.models.unips import UniPS
+from unips_jax.weights import from_official
+
+
+def official_arrays(shared_dir) -> dict[str, np.ndarray]:
+    """The deterministic weights the golden arrays were made with."""
+    shapes = json.loads((shared_dir / "golden/unips_official_keys.json").read_text())
+    arrays = {}
+    for key, shape in shapes.items():
+        x = np.random.default_rng(zlib.crc32(key.encode())).standard_normal(shape)
+        x = x.astype(np.float32)
+        if len(shape) == 1:
+            x = 1 + 0.1 * x if key.endswith(".weight") else 0.05 * x
+        elif "relative_position_bias_table" in key:
+            x = 0.1 * x
+        else:
+            x = x / math.sqrt(math.prod(shape[1:]))
+        arrays[key] = x.astype(np.float32)
+    return arrays
+
+
+@pytest.fixture(scope="module")
+def official(shared_dir):
+    config, params = from_official(official_arrays(shared_dir))
+    return dataclasses.replace(config, canonical_size=64), params
+
+
+@pytest.fixture(scope="module")
+def golden(shared_dir):
+    with np.load(shared_dir / "golden/unips_official.npz") as arrays:
+        return dict(arrays)
+
+
+@pytest.fixture(scope="module")
+def computed(official, golden):
+    """Every intermediate array, by the golden file's names."""
+    config, params = official
+    network = UniPS(config)
+
+    @jax.jit
+    def encode(images, mask):
+        inputs = ops.resize_bilinear(images, (64, 64))
+        small = ops.resize_mask_nearest(mask, (64, 64))[None, :, :, None]
+        inputs = jnp.concatenate(
+            [inputs * small, jnp.broadcast_to(small, (3, 64, 64, 1))], axis=-1
+        )
+        bound = network.bind({"params": params})
+        maps = bound.encoder.extract(inputs)
+        shared = [bound.encoder.communicate(x, i, None) for i, x in enumerate(maps)]
+        out = {"patch_embed": bound.encoder.patch_embed(inputs)}
+        out |= {f"swin_{i}": x for i, x in enumerate(maps)}
+        out |= {f"comm_{i}": x for i, x in enumerate(shared)}
+        return out | {"glc": bound.encoder.fuse(shared)}
+
+    arrays = encode(golden["images"], golden["mask"])
+    y, x = golden["pixels_yx"].T
+
+    @jax.jit
+    def decode(contexts, pixels):
+        bound = network.bind({"params": params})
+        sampled = bound.sample(contexts, y * 16 / 96 - 0.5, x * 16 / 96 - 0.5)
+        features = bound.decoder.aggregate(pixels, sampled)
+        return features, bound.decoder.predict(features)
+
+    pixels = golden["images"][:, y, x].transpose(1, 0, 2)
+    features, predicted = decode(arrays["glc"], pixels)
+    return arrays | {"agg_rows": features, "pred_rows": predicted}
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["patch_embed", *(f"{part}_{i}" for part in ("swin", "comm") for i in range(4))]
+    + ["glc", "agg_rows", "pred_rows"],
+)
+def test_layer(computed, golden, name):
+    expected = golden[name]
+    error = np.linalg.norm(computed[name] - expected) / np.linalg.norm(expected)
+    assert error <= 1e-5
+
+
+def test_predicted_rows_are_the_golden_normals(computed, golden):
+    rows = golden["normals"][golden["rows"]]
+    assert np.max(angular_error_deg(computed["pred_rows"], rows)) <= 0.02

@@ -1,0 +1,271 @@
+"""Attention over sets: SAB and PMA of the Set Transformer (Lee et al., 2019).
+
+Two arithmetics, chosen by `ModelConfig.attention`:
+
+- "pre_norm", the paper's standard Transformer layer: X + attention(LN(X)), scale
+  sqrt(width of a head), then X + MLP(LN(X)). Keys come from the normalised set. Where
+  widths differ, the residual passes a learned projection.
+- "released", what the authors' network computes: LayerNorm on the query path only (or
+  nowhere), logits divided by sqrt of the *full* width, and the *projected query* as
+  the residual.
+
+Sets may be padded: `valid` marks the members, and padding never changes a result.
+"""
+
+from typing import Literal
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import DTypeLike
+
+# Up to this many members attention runs as multiply-and-reduce, which compilers fuse;
+# batched products of such tiny matrices are slow, on CPU by a factor of seven.
+_SMALL_SET = 24
+
+
+def truncated_normal(stddev: float = 0.02) -> nn.initializers.Initializer:
+    """The initialiser of all linear layers: normal, cut at two standard deviations."""
+    return nn.initializers.truncated_normal(stddev)
+
+
+def dense(features: int, dtype: DTypeLike, name: str | None = None) -> nn.Dense:
+    """A linear layer with the network's initialisation."""
+    return nn.Dense(features, dtype=dtype, kernel_init=truncated_normal(), name=name)
+
+
+def layer_norm(dtype: DTypeLike, name: str | None = None) -> nn.LayerNorm:
+    """LayerNorm over channels, epsilon 1e-5, statistics in float32."""
+    return nn.LayerNorm(epsilon=1e-5, dtype=dtype, name=name)
+
+
+def set_attention_weights(
+    q: Array, k: Array, valid: Array | None, *, scale: float
+) -> Array:
+    """Softmax attention weights of queries over a set.
+
+    Args:
+        q: `[..., Q, heads, D]`.
+        k: `[..., N, heads, D]`.
+        valid: `[N]`, bool, or None where all members count.
+        scale: multiplies the logits.
+
+    Returns:
+        `[..., heads, Q, N]`, float32, summing to 1 over the valid members.
+    """
+    if max(q.shape[-3], k.shape[-3]) <= _SMALL_SET:
+        pairs = q[..., :, None, :, :] * k[..., None, :, :, :]
+        logits = jnp.moveaxis(jnp.sum(pairs, axis=-1, dtype=jnp.float32), -1, -3)
+    else:
+        logits = jnp.einsum(
+            "...qhd,...nhd->...hqn", q, k, preferred_element_type=jnp.float32
+        )
+    logits = logits * scale
+    if valid is not None:
+        logits = jnp.where(valid, logits, -jnp.inf)
+    return jax.nn.softmax(logits, axis=-1)
+
+
+def weighted_values(weights: Array, v: Array) -> Array:
+    """Sums values by attention weights.
+
+    Args:
+        weights: `[..., heads, Q, N]`.
+        v: `[..., N, heads, D]`.
+
+    Returns:
+        `[..., Q, heads, D]`, in the type of `v`.
+    """
+    if max(weights.shape[-2:]) <= _SMALL_SET:
+        by_pair = jnp.moveaxis(weights, -3, -1).astype(v.dtype)  # [..., Q, N, heads]
+        return jnp.sum(by_pair[..., None] * v[..., None, :, :, :], axis=-3)
+    return jnp.einsum("...hqn,...nhd->...qhd", weights.astype(v.dtype), v)
+
+
+class SetMLP(nn.Module):
+    """The residual MLP that ends every block: x + W2 gelu(W1 LN(x)).
+
+    Attributes:
+        mlp_dim: hidden width.
+        use_layer_norm: whether the branch starts with a LayerNorm.
+        dropout_rate: on the hidden layer and on the branch.
+        dtype: compute type.
+    """
+
+    mlp_dim: int
+    use_layer_norm: bool
+    dropout_rate: float
+    dtype: DTypeLike
+
+    @nn.compact
+    def __call__(self, x: Array, deterministic: bool) -> Array:
+        """Applies the MLP to `[..., C]`."""
+        dropout = nn.Dropout(self.dropout_rate)
+        hidden = layer_norm(self.dtype, "norm")(x) if self.use_layer_norm else x
+        hidden = dense(self.mlp_dim, self.dtype, "fc1")(hidden)
+        hidden = dropout(nn.gelu(hidden, approximate=False), deterministic)
+        hidden = dense(x.shape[-1], self.dtype, "fc2")(hidden)
+        return x + dropout(hidden, deterministic)
+
+
+class SAB(nn.Module):
+    """Set attention block: every member of a set reads from all of them.
+
+    Attributes:
+        features: width of the output.
+        num_heads: attention heads; divides `features`.
+        mlp_dim: hidden width of the MLP.
+        attention: "pre_norm" or "released".
+        use_layer_norm: for "released" only; "pre_norm" always normalises.
+        dropout_rate: on the attention weights, in the MLP and on its branch.
+        dtype: compute type.
+    """
+
+    features: int
+    num_heads: int
+    mlp_dim: int
+    attention: Literal["pre_norm", "released"]
+    use_layer_norm: bool = True
+    dropout_rate: float = 0.0
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, x: Array, valid: Array | None, deterministic: bool) -> Array:
+        """Applies the block.
+
+        Args:
+            x: sets, `[..., N, C]`.
+            valid: `[N]`, bool: which members count; None: all.
+            deterministic: no dropout.
+
+        Returns:
+            `[..., N, features]`.
+        """
+        pre_norm = self.attention == "pre_norm"
+        layer_norms = pre_norm or self.use_layer_norm
+        normed = layer_norm(self.dtype, "norm")(x) if layer_norms else x
+        keys = normed if pre_norm else x
+        q = dense(self.features, self.dtype, "query")(normed)
+        k = dense(self.features, self.dtype, "key")(keys)
+        v = dense(self.features, self.dtype, "value")(keys)
+
+        head_dim = self.features // self.num_heads
+        heads = (*x.shape[:-1], self.num_heads, head_dim)
+        weights = set_attention_weights(
+            q.reshape(heads),
+            k.reshape(heads),
+            valid,
+            scale=(head_dim if pre_norm else self.features) ** -0.5,
+        )
+        weights = nn.Dropout(self.dropout_rate)(weights, deterministic)
+        attended = weighted_values(weights, v.reshape(heads)).reshape(q.shape)
+        if pre_norm:
+            attended = dense(self.features, self.dtype, "out")(attended)
+            if x.shape[-1] != self.features:
+                x = dense(self.features, self.dtype, "residual")(x)
+            x = x + attended
+        else:
+            x = q + attended
+        mlp = SetMLP(
+            self.mlp_dim, layer_norms, self.dropout_rate, self.dtype, name="mlp"
+        )
+        return mlp(x, deterministic)
+
+
+class _Linear(nn.Module):
+    """The parameters of a linear layer, for arithmetic that reorders its product."""
+
+    features: int
+
+    @nn.compact
+    def __call__(self, in_features: int) -> tuple[Array, Array]:
+        shape = (in_features, self.features)
+        kernel = self.param("kernel", truncated_normal(), shape)
+        return kernel, self.param("bias", nn.initializers.zeros, (self.features,))
+
+
+class PMA(nn.Module):
+    """Pooling by multihead attention: learned seeds read from a set.
+
+    The queries are the same for every set. So they are folded into the key projection
+    (its bias drops out of the softmax), and values are projected after pooling: the
+    result is that of the plain block, with one product per set in place of two per
+    member.
+
+    Attributes:
+        features: width of the seeds and of the output.
+        num_heads: attention heads.
+        mlp_dim: hidden width of the MLP.
+        attention: "pre_norm" or "released" (then without LayerNorm).
+        num_seeds: number of outputs per set.
+        dropout_rate: as in `SAB`.
+        dtype: compute type.
+    """
+
+    features: int
+    num_heads: int
+    mlp_dim: int
+    attention: Literal["pre_norm", "released"]
+    num_seeds: int = 1
+    dropout_rate: float = 0.0
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, y: Array, valid: Array | None, deterministic: bool) -> Array:
+        """Pools sets.
+
+        Args:
+            y: `[..., N, C]`.
+            valid: `[N]`, bool: which members count; None: all.
+            deterministic: no dropout.
+
+        Returns:
+            `[..., num_seeds, features]`.
+        """
+        pre_norm = self.attention == "pre_norm"
+        seeds = self.param(
+            "seeds", nn.initializers.xavier_uniform(), (self.num_seeds, self.features)
+        )
+        seeds = jnp.asarray(seeds, self.dtype)
+        queries = seeds
+        if pre_norm:
+            queries = layer_norm(self.dtype, "norm")(seeds)
+            y = layer_norm(self.dtype, "norm_set")(y)
+        q = dense(self.features, self.dtype, "query")(queries)  # [seeds, features]
+        attended = self._attend(q, y, valid, deterministic)
+        if pre_norm:
+            x = seeds + dense(self.features, self.dtype, "out")(attended)
+        else:
+            x = q + attended
+        mlp = SetMLP(self.mlp_dim, pre_norm, self.dropout_rate, self.dtype, name="mlp")
+        return mlp(x, deterministic)
+
+    def _attend(
+        self, q: Array, y: Array, valid: Array | None, deterministic: bool
+    ) -> Array:
+        c, heads, head_dim = (
+            y.shape[-1],
+            self.num_heads,
+            self.features // self.num_heads,
+        )
+        key_kernel, _ = _Linear(self.features, name="key")(c)
+        value_kernel, value_bias = _Linear(self.features, name="value")(c)
+        key_kernel = key_kernel.reshape(c, heads, head_dim).astype(self.dtype)
+        value_kernel = value_kernel.reshape(c, heads, head_dim).astype(self.dtype)
+
+        width = head_dim if self.attention == "pre_norm" else self.features
+        folded = jnp.einsum("shd,chd->csh", q.reshape(-1, heads, head_dim), key_kernel)
+        logits = jnp.tensordot(y, folded * width**-0.5, 1)  # [..., N, seeds, heads]
+        logits = logits.astype(jnp.promote_types(logits.dtype, jnp.float32))
+        if valid is not None:
+            logits = jnp.where(valid[:, None, None], logits, -jnp.inf)
+        weights = jax.nn.softmax(logits, axis=-3)
+        weights = nn.Dropout(self.dropout_rate)(weights, deterministic).astype(y.dtype)
+
+        # [..., seeds, heads, C], then each head's values from its own mixture
+        mixed = jnp.sum(weights[..., None] * y[..., None, None, :], axis=-4)
+        attended = jnp.einsum("...shc,chd->...shd", mixed, value_kernel)
+        total = jnp.sum(weights, axis=-3)[..., None]  # 1 without dropout
+        attended = attended + total * value_bias.reshape(heads, head_dim)
+        return attended.reshape(*attended.shape[:-2], self.features).astype(y.dtype)

@@ -1,0 +1,209 @@
+"""Swin Transformer with a convolutional patch embedding.
+
+Source: Liu et al., "Swin Transformer", ICCV 2021; the embedding replaces Swin's linear
+one as in UniPS (Ikehata, CVPR 2022), supplement. Maps are `[B, h, w, C]`.
+"""
+
+import flax.linen as nn
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import DTypeLike
+
+from unips_jax import ops
+from unips_jax.config import ModelConfig
+from unips_jax.models.set_attention import dense, layer_norm, truncated_normal
+
+
+class PatchEmbed(nn.Module):
+    """Five convolutions without bias that reduce each side by four.
+
+    Attributes:
+        channels: widths of the first two and the next two convolutions' first one.
+        embed_dim: width of the output.
+        dtype: compute type.
+    """
+
+    channels: tuple[int, int]
+    embed_dim: int
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, x: Array) -> Array:
+        """Embeds `[B, H, W, 4]` into `[B, H/4, W/4, embed_dim]`."""
+        first, second = self.channels
+        layers = (
+            (first, 3, 2),
+            (first, 3, 1),
+            (second, 3, 2),
+            (second, 3, 1),
+            (self.embed_dim, 1, 1),
+        )
+        for i, (features, kernel, stride) in enumerate(layers):
+            x = nn.Conv(
+                features,
+                (kernel, kernel),
+                strides=stride,
+                padding=kernel // 2,
+                use_bias=False,
+                dtype=self.dtype,
+                kernel_init=nn.initializers.he_normal(),
+                name=f"conv{i}",
+            )(x)
+            if i + 1 < len(layers):
+                x = nn.relu(x)
+        return x
+
+
+class WindowAttention(nn.Module):
+    """Multi-head self-attention within windows, with relative position bias.
+
+    Attributes:
+        num_heads: attention heads.
+        window_size: side of the windows.
+        dtype: compute type.
+    """
+
+    num_heads: int
+    window_size: int
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, x: Array, mask: np.ndarray | None) -> Array:
+        """Attends within each window.
+
+        Args:
+            x: `[B * windows, T, C]`, T = window_size**2.
+            mask: `[windows, T, T]`, added to the logits, or None.
+
+        Returns:
+            `[B * windows, T, C]`.
+        """
+        b, t, c = x.shape
+        table = self.param(
+            "relative_position_bias_table",
+            truncated_normal(),
+            ((2 * self.window_size - 1) ** 2, self.num_heads),
+        )
+        qkv = dense(3 * c, self.dtype, "qkv")(x)
+        qkv = qkv.reshape(b, t, 3, self.num_heads, c // self.num_heads)
+        q, k, v = qkv[:, :, 0], qkv[:, :, 1], qkv[:, :, 2]  # [B * windows, T, heads, D]
+        q = q * (c // self.num_heads) ** -0.5
+        logits = jnp.einsum("bqhd,bkhd->bhqk", q, k, preferred_element_type=jnp.float32)
+        bias = table[ops.relative_position_index(self.window_size)]  # [T, T, heads]
+        logits = logits + bias.transpose(2, 0, 1)[None]
+        if mask is not None:
+            windows = mask.shape[0]
+            logits = logits.reshape(-1, windows, self.num_heads, t, t)
+            logits = (logits + mask[None, :, None]).reshape(b, self.num_heads, t, t)
+        weights = nn.softmax(logits, axis=-1).astype(v.dtype)
+        x = jnp.einsum("bhqk,bkhd->bqhd", weights, v).reshape(b, t, c)
+        return dense(c, self.dtype, "proj")(x)
+
+
+class SwinBlock(nn.Module):
+    """Window attention and an MLP, each with LayerNorm before and a residual.
+
+    Attributes:
+        num_heads: attention heads.
+        window_size: side of the windows.
+        shift_size: how far the windows are shifted; 0 for even blocks.
+        mlp_ratio: hidden width of the MLP over the input's.
+        drop_path_rate: probability of dropping a residual branch, per map.
+        dtype: compute type.
+    """
+
+    num_heads: int
+    window_size: int
+    shift_size: int
+    mlp_ratio: float
+    drop_path_rate: float
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, x: Array, deterministic: bool) -> Array:
+        """Applies the block to `[B, h, w, C]`."""
+        drop_path = nn.Dropout(self.drop_path_rate, broadcast_dims=(1, 2, 3))
+        x = x + drop_path(self._attend(x), deterministic)
+        hidden = layer_norm(self.dtype, "norm2")(x)
+        hidden = dense(int(x.shape[-1] * self.mlp_ratio), self.dtype, "fc1")(hidden)
+        hidden = nn.gelu(hidden, approximate=False)
+        hidden = dense(x.shape[-1], self.dtype, "fc2")(hidden)
+        return x + drop_path(hidden, deterministic)
+
+    def _attend(self, x: Array) -> Array:
+        _, h, w, _ = x.shape
+        x = layer_norm(self.dtype, "norm1")(x)
+        # Padding takes part in attention, as zeros after the norm.
+        bottom, right = -h % self.window_size, -w % self.window_size
+        x = jnp.pad(x, ((0, 0), (0, bottom), (0, right), (0, 0)))
+        padded = (h + bottom, w + right)
+        shift, mask = self.shift_size, None
+        if shift:
+            x = jnp.roll(x, (-shift, -shift), axis=(1, 2))
+            mask = ops.shift_mask(*padded, self.window_size, shift)
+        windows = ops.window_partition(x, self.window_size)
+        windows = WindowAttention(
+            self.num_heads, self.window_size, self.dtype, name="attn"
+        )(windows, mask)
+        x = ops.window_reverse(windows, *padded)
+        if shift:
+            x = jnp.roll(x, (shift, shift), axis=(1, 2))
+        return x[:, :h, :w]
+
+
+class PatchMerging(nn.Module):
+    """Halves each side and doubles the channels.
+
+    Attributes:
+        dtype: compute type.
+    """
+
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, x: Array) -> Array:
+        """Maps `[B, h, w, C]` to `[B, ceil(h/2), ceil(w/2), 2C]`."""
+        _, h, w, c = x.shape
+        x = jnp.pad(x, ((0, 0), (0, h % 2), (0, w % 2), (0, 0)))
+        corners = [x[:, i::2, j::2] for i, j in ((0, 0), (1, 0), (0, 1), (1, 1))]
+        x = layer_norm(self.dtype, "norm")(jnp.concatenate(corners, axis=-1))
+        return nn.Dense(
+            2 * c,
+            use_bias=False,
+            dtype=self.dtype,
+            kernel_init=truncated_normal(),
+            name="reduction",
+        )(x)
+
+
+class SwinStage(nn.Module):
+    """The blocks of one stage.
+
+    Attributes:
+        config: the network's configuration.
+        stage: its number, from 0.
+        dtype: compute type.
+    """
+
+    config: ModelConfig
+    stage: int
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, x: Array, deterministic: bool) -> Array:
+        """Applies the blocks to `[B, h, w, C]`."""
+        config, before = self.config, sum(self.config.depths[: self.stage])
+        block = nn.remat(SwinBlock, static_argnums=(2,)) if config.remat else SwinBlock
+        last = max(sum(config.depths) - 1, 1)
+        for i in range(config.depths[self.stage]):
+            x = block(
+                num_heads=config.num_heads[self.stage],
+                window_size=config.window_size,
+                shift_size=config.window_size // 2 if i % 2 else 0,
+                mlp_ratio=config.mlp_ratio,
+                drop_path_rate=config.drop_path_rate * (before + i) / last,
+                dtype=self.dtype,
+                name=f"block{i}",
+            )(x, deterministic)
+        return x

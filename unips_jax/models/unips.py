@@ -1,0 +1,245 @@
+"""UniPS: encoder, decoder and the whole network for one object.
+
+Source: "Universal Photometric Stereo Network using Global Lighting Contexts" (Ikehata,
+CVPR 2022), Sec. 4 and supplement. An object's images are one set of N; batches of
+objects are a `jax.vmap` away. `valid` `[N]` marks the images that count, so that sets
+can be padded; padding never changes a result.
+"""
+
+from collections.abc import Sequence
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax import ops
+from unips_jax.config import ModelConfig
+from unips_jax.models.set_attention import PMA, SAB, dense, layer_norm
+from unips_jax.models.swin import PatchEmbed, PatchMerging, SwinStage
+from unips_jax.models.upernet import UPerNet
+
+# Components of a normal.
+_XYZ = 3
+
+
+class Encoder(nn.Module):
+    """Global lighting contexts from images of canonical size.
+
+    `extract` and `fuse` treat every image alone, `communicate` every pixel alone, so a
+    caller may run each in pieces.
+
+    Attributes:
+        config: the network's configuration.
+    """
+
+    config: ModelConfig
+
+    def setup(self) -> None:
+        """Names the submodules."""
+        config = self.config
+        dtype = jnp.dtype(config.dtype)
+        stages = range(len(config.depths))
+        self.patch_embed = PatchEmbed(config.patch_channels, config.embed_dim, dtype)
+        self.stages = [SwinStage(config, stage, dtype) for stage in stages]
+        self.norms = [layer_norm(dtype) for _ in stages]
+        self.mergings = [PatchMerging(dtype) for _ in stages[1:]]
+        self.fusion = UPerNet(config.context_dim, config.pool_scales, dtype)
+        if config.communication in ("pre", "during"):
+            dims = [config.stage_dim(stage) for stage in stages]
+        else:
+            dims = [config.context_dim] if config.communication == "post" else []
+        block = nn.remat(SAB, static_argnums=(3,)) if config.remat else SAB
+        self.communications = [
+            block(
+                features=dim,
+                num_heads=config.communication_heads,
+                mlp_dim=int(dim * config.communication_mlp_ratio),
+                attention=config.attention,
+                use_layer_norm=False,
+                dropout_rate=config.dropout_rate,
+                dtype=dtype,
+            )
+            for dim in dims
+        ]
+
+    def __call__(
+        self, images: Array, valid: Array | None = None, deterministic: bool = True
+    ) -> Array:
+        """Computes the contexts.
+
+        Args:
+            images: `[N, s, s, 4]`, normalised RGB and mask.
+            valid: `[N]`, bool, or None where all images count.
+            deterministic: no dropout.
+
+        Returns:
+            `[N, s/4, s/4, context_dim]`.
+        """
+        maps = self.extract(images, valid, deterministic)
+        if self.config.communication == "pre":
+            maps = [
+                self.communicate(level, i, valid, deterministic)
+                for i, level in enumerate(maps)
+            ]
+        contexts = self.fuse(maps)
+        if self.config.communication == "post":
+            contexts = self.communicate(contexts, 0, valid, deterministic)
+        return contexts
+
+    def extract(
+        self, images: Array, valid: Array | None = None, deterministic: bool = True
+    ) -> list[Array]:
+        """Runs the backbone: `[N, s, s, 4]` to maps `[N, s/4/2**i, ..., C_i]`.
+
+        `valid` matters for communication "during" only.
+        """
+        x = self.patch_embed(images.astype(self.config.dtype))
+        maps = []
+        for i, stage in enumerate(self.stages):
+            x = stage(x, deterministic)
+            if self.config.communication == "during":
+                x = self.communicate(x, i, valid, deterministic)
+            maps.append(self.norms[i](x))
+            if i < len(self.mergings):
+                x = self.mergings[i](x)
+        return maps
+
+    def communicate(
+        self, level: Array, index: int, valid: Array | None, deterministic: bool = True
+    ) -> Array:
+        """Lets the images exchange features at every pixel: `[N, ..., C]` to same."""
+        sets = jnp.moveaxis(level, 0, -2)  # [..., N, C]
+        sets = self.communications[index](sets, valid, deterministic)
+        return jnp.moveaxis(sets, -2, 0)
+
+    def fuse(self, maps: Sequence[Array]) -> Array:
+        """Fuses the maps of each image: `[N, s/4, s/4, context_dim]`."""
+        return self.fusion(maps)
+
+
+class Decoder(nn.Module):
+    """The normal of a pixel from its set of N observations and contexts.
+
+    Attributes:
+        config: the network's configuration.
+    """
+
+    config: ModelConfig
+
+    def setup(self) -> None:
+        """Names the submodules."""
+        config = self.config
+        dtype = jnp.dtype(config.dtype)
+        block = nn.remat(SAB, static_argnums=(3,)) if config.remat else SAB
+        self.layers = [
+            block(
+                features=config.hidden_dim,
+                num_heads=config.aggregation_heads,
+                mlp_dim=config.aggregation_mlp_dim,
+                attention=config.attention,
+                dropout_rate=config.dropout_rate,
+                dtype=dtype,
+            )
+            for _ in range(config.aggregation_layers)
+        ]
+        if config.aggregation == "pma":
+            self.pooling = PMA(
+                features=config.hidden_dim,
+                num_heads=config.aggregation_heads,
+                mlp_dim=config.pma_mlp_dim,
+                attention=config.attention,
+                dropout_rate=config.dropout_rate,
+                dtype=dtype,
+            )
+        self.fc1 = dense(config.predictor_dim, dtype)
+        self.fc2 = dense(_XYZ, dtype)
+
+    def __call__(
+        self,
+        pixels: Array,
+        contexts: Array,
+        valid: Array | None = None,
+        deterministic: bool = True,
+    ) -> Array:
+        """Predicts normals.
+
+        Args:
+            pixels: `[..., N, 3]`, normalised RGB.
+            contexts: `[..., N, context_dim]`, read at the pixels' places.
+            valid: `[N]`, bool, or None.
+            deterministic: no dropout.
+
+        Returns:
+            Unit normals, `[..., 3]`, float32.
+        """
+        features = self.aggregate(pixels, contexts, valid, deterministic)
+        return ops.normalize(self.predict(features))
+
+    def aggregate(
+        self,
+        pixels: Array,
+        contexts: Array,
+        valid: Array | None = None,
+        deterministic: bool = True,
+    ) -> Array:
+        """Turns each set into one vector: `[..., hidden_dim]`."""
+        dtype = self.config.dtype
+        sets = jnp.concatenate([pixels.astype(dtype), contexts.astype(dtype)], axis=-1)
+        for layer in self.layers:
+            sets = layer(sets, valid, deterministic)  # [..., N, hidden_dim]
+        if self.config.aggregation == "pma":
+            return self.pooling(sets, valid, deterministic)[..., 0, :]
+        if valid is not None:
+            sets = jnp.where(valid[:, None], sets, -jnp.inf)
+        return jnp.max(sets, axis=-2)
+
+    def predict(self, features: Array) -> Array:
+        """Vectors along the normals, `[..., 3]`, from `[..., hidden_dim]`."""
+        return self.fc2(nn.relu(self.fc1(features)))
+
+
+class UniPS(nn.Module):
+    """The whole network for one object.
+
+    Attributes:
+        config: sizes and variants.
+    """
+
+    config: ModelConfig
+
+    def setup(self) -> None:
+        """Names the two halves."""
+        self.encoder = Encoder(self.config)
+        self.decoder = Decoder(self.config)
+
+    def __call__(
+        self,
+        images: Array,
+        pixels: Array,
+        rows: Array,
+        columns: Array,
+        valid: Array | None = None,
+        deterministic: bool = True,
+    ) -> Array:
+        """Predicts the normals of some pixels.
+
+        Args:
+            images: `[N, s, s, 4]`, of canonical size: normalised RGB and mask.
+            pixels: `[P, N, 3]`, normalised RGB at the pixels.
+            rows: `[P]`, the pixels' rows in cells of the contexts' grid.
+            columns: `[P]`, likewise.
+            valid: `[N]`, bool, or None.
+            deterministic: no dropout.
+
+        Returns:
+            Unit normals, `[P, 3]`.
+        """
+        contexts = self.encoder(images, valid, deterministic)
+        sampled = self.sample(contexts, rows, columns)
+        return self.decoder(pixels, sampled, valid, deterministic)
+
+    def sample(self, contexts: Array, rows: Array, columns: Array) -> Array:
+        """Reads contexts at the pixels' places: `[P, N, context_dim]`."""
+        zeros = self.config.context_sampling == "corner"
+        sampled = ops.bilinear_sample(contexts, rows, columns, zeros=zeros)
+        return jnp.moveaxis(sampled, 0, 1)

@@ -1,0 +1,72 @@
+"""UPerNet: fuses the maps of all scales into one.
+
+Source: Xiao et al., "Unified Perceptual Parsing for Scene Understanding", ECCV 2018,
+as used in UniPS (Ikehata, CVPR 2022): every convolution with a bias and a ReLU, no
+batch normalisation.
+"""
+
+from collections.abc import Sequence
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import DTypeLike
+
+from unips_jax import ops
+
+
+class UPerNet(nn.Module):
+    """Pyramid pooling on the coarsest map, then a feature pyramid.
+
+    Attributes:
+        features: width of every convolution.
+        pool_scales: bins per side of the pyramid pooling module (PPM).
+        dtype: compute type.
+    """
+
+    features: int
+    pool_scales: tuple[int, ...]
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, maps: Sequence[Array]) -> Array:
+        """Fuses the maps.
+
+        Args:
+            maps: `[B, h_i, w_i, C_i]`, finest first.
+
+        Returns:
+            `[B, h_0, w_0, features]`.
+        """
+        laterals = [
+            self._conv(1, f"lateral{i}")(level) for i, level in enumerate(maps[:-1])
+        ]
+        laterals.append(self._pyramid_pooling(maps[-1]))
+        for i in reversed(range(len(laterals) - 1)):
+            coarser = ops.resize_bilinear(laterals[i + 1], laterals[i].shape[1:3])
+            laterals[i] = laterals[i] + coarser
+        levels = [
+            self._conv(3, f"fpn{i}")(level) for i, level in enumerate(laterals[:-1])
+        ]
+        levels.append(laterals[-1])
+        size = maps[0].shape[1:3]
+        levels = [ops.resize_bilinear(level, size) for level in levels]
+        return self._conv(3, "fpn_bottleneck")(jnp.concatenate(levels, axis=-1))
+
+    def _pyramid_pooling(self, x: Array) -> Array:
+        pooled = [x]
+        for i, bins in enumerate(self.pool_scales):
+            level = self._conv(1, f"ppm{i}")(ops.adaptive_average_pool(x, bins))
+            pooled.append(ops.resize_bilinear(level, x.shape[1:3]))
+        return self._conv(3, "ppm_bottleneck")(jnp.concatenate(pooled, axis=-1))
+
+    def _conv(self, size: int, name: str):
+        conv = nn.Conv(
+            self.features,
+            (size, size),
+            padding=size // 2,
+            dtype=self.dtype,
+            kernel_init=nn.initializers.he_normal(),
+            name=name,
+        )
+        return lambda x: nn.relu(conv(x))

@@ -1,0 +1,183 @@
+"""Pure array functions the network is built from. Arrays are channels-last."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+
+def resize_bilinear(x: Array, size: Sequence[int]) -> Array:
+    """Resizes with half-pixel centres and no antialiasing.
+
+    Args:
+        x: `[..., H, W, C]`.
+        size: the new height and width.
+
+    Returns:
+        `[..., *size, C]`.
+    """
+    shape = (*x.shape[:-3], *size, x.shape[-1])
+    return jax.image.resize(x, shape, "linear", antialias=False)
+
+
+def resize_mask_nearest(mask: Array, size: tuple[int, int]) -> Array:
+    """Resizes a mask by taking the source index `floor(i * H / size)`.
+
+    Args:
+        mask: `[..., H, W]`.
+        size: the new height and width.
+
+    Returns:
+        `[..., *size]`, same type. Source: `jax.image.resize` rounds centres instead.
+    """
+    height, width = mask.shape[-2:]
+    rows = np.arange(size[0]) * height // size[0]
+    columns = np.arange(size[1]) * width // size[1]
+    return mask[..., rows[:, None], columns[None, :]]
+
+
+def adaptive_average_matrix(size: int, bins: int) -> np.ndarray:
+    """Weights of adaptive average pooling along one axis.
+
+    Bin i averages the cells from floor(i * size / bins) to ceil((i + 1) * size / bins).
+
+    Args:
+        size: cells along the axis.
+        bins: number of averages.
+
+    Returns:
+        `[bins, size]`, rows summing to 1.
+    """
+    weights = np.zeros((bins, size), np.float32)
+    for i in range(bins):
+        start, stop = i * size // bins, -(-(i + 1) * size // bins)
+        weights[i, start:stop] = 1 / (stop - start)
+    return weights
+
+
+def adaptive_average_pool(x: Array, bins: int) -> Array:
+    """Averages `[..., H, W, C]` over a grid of bins: `[..., bins, bins, C]`."""
+    rows = adaptive_average_matrix(x.shape[-3], bins).astype(x.dtype)
+    columns = adaptive_average_matrix(x.shape[-2], bins).astype(x.dtype)
+    return jnp.einsum("ih,jw,...hwc->...ijc", rows, columns, x)
+
+
+def window_partition(x: Array, window_size: int) -> Array:
+    """Cuts maps into windows.
+
+    Args:
+        x: `[B, H, W, C]`, H and W multiples of `window_size`.
+        window_size: side of a window.
+
+    Returns:
+        `[B * windows, window_size**2, C]`, windows in row-major order.
+    """
+    b, h, w, c = x.shape
+    x = x.reshape(b, h // window_size, window_size, w // window_size, window_size, c)
+    return x.transpose(0, 1, 3, 2, 4, 5).reshape(-1, window_size**2, c)
+
+
+def window_reverse(windows: Array, height: int, width: int) -> Array:
+    """Puts the windows of `window_partition` back together.
+
+    Args:
+        windows: `[B * windows, window_size**2, C]`.
+        height: H of the maps.
+        width: W of the maps.
+
+    Returns:
+        `[B, H, W, C]`.
+    """
+    window_size = round(windows.shape[1] ** 0.5)
+    rows, columns = height // window_size, width // window_size
+    x = windows.reshape(-1, rows, columns, window_size, window_size, windows.shape[-1])
+    return x.transpose(0, 1, 3, 2, 4, 5).reshape(-1, height, width, windows.shape[-1])
+
+
+def shift_mask(
+    height: int, width: int, window_size: int, shift_size: int
+) -> np.ndarray:
+    """What shifted windows add to their attention: -100 between separate regions.
+
+    Args:
+        height: H of the (padded) map.
+        width: W of the (padded) map.
+        window_size: side of a window.
+        shift_size: by how many tokens the map was rolled.
+
+    Returns:
+        `[windows, window_size**2, window_size**2]`, float32. Source: Swin, Sec. 3.2.
+    """
+
+    def regions(size: int) -> np.ndarray:
+        index = np.arange(size)
+        return (index >= size - window_size) * 1 + (index >= size - shift_size) * 1
+
+    labels = 3 * regions(height)[:, None] + regions(width)[None, :]
+    x = labels.reshape(height // window_size, window_size, -1, window_size)
+    x = x.transpose(0, 2, 1, 3).reshape(-1, window_size**2)
+    return np.where(x[:, :, None] == x[:, None, :], 0.0, -100.0).astype(np.float32)
+
+
+def relative_position_index(window_size: int) -> np.ndarray:
+    """For every pair of tokens in a window, its row in the bias table.
+
+    Args:
+        window_size: side w of the window.
+
+    Returns:
+        `[w**2, w**2]` integers in [0, (2w-1)**2).
+    """
+    y, x = np.divmod(np.arange(window_size**2), window_size)
+    dy = y[:, None] - y[None, :] + window_size - 1
+    dx = x[:, None] - x[None, :] + window_size - 1
+    return dy * (2 * window_size - 1) + dx
+
+
+def bilinear_sample(grid: Array, rows: Array, columns: Array, *, zeros: bool) -> Array:
+    """Reads maps at fractional places.
+
+    Args:
+        grid: `[..., h, w, C]`.
+        rows: `[P]`, in cells of the grid; 0 is the centre of the first cell.
+        columns: `[P]`, likewise.
+        zeros: cells beyond the border count as zero; else places are clamped.
+
+    Returns:
+        `[..., P, C]`.
+    """
+    h, w, c = grid.shape[-3:]
+    flat = grid.reshape(*grid.shape[:-3], h * w, c)
+    if not zeros:
+        rows = jnp.clip(rows, 0, h - 1)
+        columns = jnp.clip(columns, 0, w - 1)
+    top, left = jnp.floor(rows), jnp.floor(columns)
+    total = jnp.zeros((), grid.dtype)
+    for dy in (0, 1):
+        for dx in (0, 1):
+            y, x = top + dy, left + dx
+            weight = (1 - abs(rows - y)) * (1 - abs(columns - x))
+            inside = (y >= 0) & (y < h) & (x >= 0) & (x < w)
+            index = jnp.clip(y, 0, h - 1) * w + jnp.clip(x, 0, w - 1)
+            corner = jnp.take(flat, index.astype(jnp.int32), axis=-2)
+            weight = jnp.where(inside, weight, 0).astype(grid.dtype)
+            total = total + corner * weight[:, None]
+    return total
+
+
+def normalize(x: Array, *, epsilon: float = 1e-12) -> Array:
+    """Divides vectors by their length, in float32, with finite gradients at zero.
+
+    Args:
+        x: `[..., 3]`.
+        epsilon: the smallest length divided by.
+
+    Returns:
+        `[..., 3]`, unit vectors; zero where `x` is zero.
+    """
+    x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
+    squared = jnp.sum(jnp.square(x), axis=-1, keepdims=True)
+    safe = squared > epsilon**2
+    return jnp.where(safe, x * jax.lax.rsqrt(jnp.where(safe, squared, 1.0)), 0.0)
