@@ -10,8 +10,16 @@ zero outside the mask.
 """
 
 from unips_jax.config import ModelConfig
+from unips_jax.estimation import estimate_normals
 from unips_jax.metrics import angular_error_deg
+from unips_jax.weights import load_weights
 
 __version__ = "0.1.0"
 
-__all__ = ["ModelConfig", "__version__", "angular_error_deg"]
+__all__ = [
+    "ModelConfig",
+    "__version__",
+    "angular_error_deg",
+    "estimate_normals",
+    "load_weights",
+]

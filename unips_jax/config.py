@@ -62,7 +62,8 @@ class ModelConfig:
         context_sampling: where a pixel reads the contexts: at its centre ("center",
             clamped at the border) or at its corner with zeros beyond the border
             ("corner", half a pixel off, as the authors' weights need).
-        dtype: compute type, "float32" or "bfloat16"; parameters stay float32.
+        dtype: compute type; parameters stay float32 ("float64", for checks, needs
+            `jax_enable_x64`).
         remat: recompute Swin blocks and set attention in the backward pass.
     """
 
@@ -89,7 +90,7 @@ class ModelConfig:
     predictor_dim: int = 192
     dropout_rate: float = 0.1
     context_sampling: Literal["center", "corner"] = "center"
-    dtype: Literal["float32", "bfloat16"] = "float32"
+    dtype: Literal["float32", "bfloat16", "float64"] = "float32"
     remat: bool = False
 
     def __post_init__(self) -> None:
@@ -141,7 +142,7 @@ class ModelConfig:
         _require_choice("attention", self.attention, ("pre_norm", "released"))
         _require_choice("aggregation", self.aggregation, ("pma", "max"))
         _require_choice("context_sampling", self.context_sampling, ("center", "corner"))
-        _require_choice("dtype", self.dtype, ("float32", "bfloat16"))
+        _require_choice("dtype", self.dtype, ("float32", "bfloat16", "float64"))
 
     def stage_dim(self, stage: int) -> int:
         """Channels of Swin's stage number `stage`, counted from 0."""

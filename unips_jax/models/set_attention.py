@@ -40,6 +40,11 @@ def layer_norm(dtype: DTypeLike, name: str | None = None) -> nn.LayerNorm:
     return nn.LayerNorm(epsilon=1e-5, dtype=dtype, name=name)
 
 
+def softmax_dtype(dtype: DTypeLike) -> jnp.dtype:
+    """The type attention weights are computed in: float32, or wider if asked."""
+    return jnp.promote_types(dtype, jnp.float32)
+
+
 def set_attention_weights(
     q: Array, k: Array, valid: Array | None, *, scale: float
 ) -> Array:
@@ -52,15 +57,14 @@ def set_attention_weights(
         scale: multiplies the logits.
 
     Returns:
-        `[..., heads, Q, N]`, float32, summing to 1 over the valid members.
+        `[..., heads, Q, N]`, at least float32, summing to 1 over the valid members.
     """
+    dtype = softmax_dtype(q.dtype)
     if max(q.shape[-3], k.shape[-3]) <= _SMALL_SET:
         pairs = q[..., :, None, :, :] * k[..., None, :, :, :]
-        logits = jnp.moveaxis(jnp.sum(pairs, axis=-1, dtype=jnp.float32), -1, -3)
+        logits = jnp.moveaxis(jnp.sum(pairs, axis=-1, dtype=dtype), -1, -3)
     else:
-        logits = jnp.einsum(
-            "...qhd,...nhd->...hqn", q, k, preferred_element_type=jnp.float32
-        )
+        logits = jnp.einsum("...qhd,...nhd->...hqn", q, k, preferred_element_type=dtype)
     logits = logits * scale
     if valid is not None:
         logits = jnp.where(valid, logits, -jnp.inf)
@@ -257,7 +261,7 @@ class PMA(nn.Module):
         width = head_dim if self.attention == "pre_norm" else self.features
         folded = jnp.einsum("shd,chd->csh", q.reshape(-1, heads, head_dim), key_kernel)
         logits = jnp.tensordot(y, folded * width**-0.5, 1)  # [..., N, seeds, heads]
-        logits = logits.astype(jnp.promote_types(logits.dtype, jnp.float32))
+        logits = logits.astype(softmax_dtype(logits.dtype))
         if valid is not None:
             logits = jnp.where(valid[:, None, None], logits, -jnp.inf)
         weights = jax.nn.softmax(logits, axis=-3)

@@ -12,7 +12,12 @@ from jax.typing import DTypeLike
 
 from unips_jax import ops
 from unips_jax.config import ModelConfig
-from unips_jax.models.set_attention import dense, layer_norm, truncated_normal
+from unips_jax.models.set_attention import (
+    dense,
+    layer_norm,
+    softmax_dtype,
+    truncated_normal,
+)
 
 
 class PatchEmbed(nn.Module):
@@ -89,7 +94,9 @@ class WindowAttention(nn.Module):
         qkv = qkv.reshape(b, t, 3, self.num_heads, c // self.num_heads)
         q, k, v = qkv[:, :, 0], qkv[:, :, 1], qkv[:, :, 2]  # [B * windows, T, heads, D]
         q = q * (c // self.num_heads) ** -0.5
-        logits = jnp.einsum("bqhd,bkhd->bhqk", q, k, preferred_element_type=jnp.float32)
+        logits = jnp.einsum(
+            "bqhd,bkhd->bhqk", q, k, preferred_element_type=softmax_dtype(q.dtype)
+        )
         bias = table[ops.relative_position_index(self.window_size)]  # [T, T, heads]
         logits = logits + bias.transpose(2, 0, 1)[None]
         if mask is not None:

@@ -1,0 +1,352 @@
+"""Normals from images: one pure, differentiable function, and one for photographs.
+
+Source: UniPS (Ikehata, CVPR 2022), Sec. 4. Departures from the paper: images need not
+be square. The encoder sees the smallest square around the mask (zeros where it leaves
+the image), and every pixel is decoded at its own place and size.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from unips_jax import ops
+from unips_jax.config import ModelConfig
+from unips_jax.models.unips import UniPS
+
+Params = Any
+FrameKind = Literal["mask", "image"]
+
+# Members of sets decoded at once: enough to keep the matrix products busy, few enough
+# to stay in cache.
+CHUNK_TOKENS = 4096
+# Images that pass the backbone together.
+CHUNK_IMAGES = 2
+
+
+class Frame(NamedTuple):
+    """The square of the image that the encoder sees; it may leave the image.
+
+    Attributes:
+        top: row of its first pixel.
+        left: column of its first pixel.
+        side: its side in pixels.
+    """
+
+    top: Array
+    left: Array
+    side: Array
+
+
+def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:
+    """The smallest square around the mask or the image, centred on it.
+
+    Args:
+        mask: `[H, W]`, non-zero on the object.
+        kind: "mask" or "image"; an empty mask gives the image's square.
+
+    Returns:
+        The frame, integers.
+    """
+    mask = jnp.asarray(mask) > 0
+    inside = mask if kind == "mask" else jnp.ones_like(mask)
+    inside = inside | ~jnp.any(inside)
+    starts, sizes = [], []
+    for axis in (1, 0):
+        line = jnp.any(inside, axis=axis)
+        start, stop = jnp.argmax(line), line.size - jnp.argmax(line[::-1])
+        starts.append(start)
+        sizes.append(stop - start)
+    side = jnp.maximum(*sizes)
+    top, left = (
+        start + (size - side) // 2 for start, size in zip(starts, sizes, strict=True)
+    )
+    return Frame(top, left, side)
+
+
+def normalize_images(images: Array, mask: Array) -> Array:
+    """Divides each image by its mean over masked pixels and channels; zero outside.
+
+    Args:
+        images: `[N, H, W, 3]`.
+        mask: `[H, W]`.
+
+    Returns:
+        `[N, H, W, 3]`; an all-black image stays black.
+    """
+    inside = (mask > 0)[..., None]
+    images = jnp.where(inside, images, 0)
+    count = jnp.maximum(jnp.sum(inside) * images.shape[-1], 1)
+    mean = jnp.sum(images, axis=(1, 2, 3), keepdims=True) / count
+    return images / jnp.where(mean > 0, mean, 1)
+
+
+def canonical_images(images: Array, mask: Array, frame: Frame, size: int) -> Array:
+    """The frame's part of the images, resized for the encoder.
+
+    Bilinear, half-pixel centres, no antialiasing; as a product with the separable
+    weights, which moves with the frame and has cheap gradients.
+
+    Args:
+        images: `[N, H, W, 3]`, normalised, zero outside the mask.
+        mask: `[H, W]`.
+        frame: which square.
+        size: the canonical size s.
+
+    Returns:
+        `[N, s, s, 4]`: images times mask, and the mask.
+    """
+    dtype, (height, width) = images.dtype, mask.shape
+    rows = _resize_weights(frame.top, frame.side, size, height, dtype)
+    columns = _resize_weights(frame.left, frame.side, size, width, dtype)
+    resized = jnp.einsum("ih,nhwc,jw->nijc", rows, images, columns, optimize=True)
+    steps = jnp.arange(size) * frame.side // size
+    inside = (
+        mask.astype(dtype)
+        .at[frame.top + steps]
+        .get(mode="fill", fill_value=0, wrap_negative_indices=False)
+    )
+    inside = inside.at[:, frame.left + steps].get(
+        mode="fill", fill_value=0, wrap_negative_indices=False
+    )
+    inside = (inside > 0).astype(dtype)[None, :, :, None]
+    return jnp.concatenate(
+        [resized * inside, jnp.broadcast_to(inside, (*resized.shape[:-1], 1))], axis=-1
+    )
+
+
+def _resize_weights(
+    start: Array, side: Array, size: int, length: int, dtype: jnp.dtype
+) -> Array:
+    """Bilinear weights `[size, length]` of an axis' cells for a stretch of it."""
+    places = (jnp.arange(size, dtype=dtype) + 0.5) * side.astype(dtype) / size - 0.5
+    places = start + jnp.clip(places, 0, side - 1)
+    distance = jnp.abs(places[:, None] - jnp.arange(length, dtype=dtype))
+    return jnp.maximum(1 - distance, 0)
+
+
+def encode(
+    params: Params,
+    images: Array,
+    valid: Array | None = None,
+    *,
+    config: ModelConfig,
+    uniform_contexts: bool = False,
+) -> Array:
+    """Global lighting contexts, with bounded memory in images and in pixels.
+
+    Args:
+        params: the network's parameters.
+        images: `[N, s, s, 4]`, from `canonical_images`.
+        valid: `[N]`, bool: which images count; None: all.
+        config: the network's configuration.
+        uniform_contexts: replace each image's contexts by their mean over the mask
+            (the paper's Table 5, to see what their spatial variation gives).
+
+    Returns:
+        `[N, s/4, s/4, context_dim]`.
+    """
+    encoder = UniPS(config).bind({"params": params}).encoder
+    if config.communication == "during":
+        maps = encoder.extract(images, valid)
+    else:
+        maps = map_chunks(encoder.extract, images, CHUNK_IMAGES)
+
+    def communicate(level: Array, index: int) -> Array:
+        n, h, w, c = level.shape
+        sets = jnp.moveaxis(level.reshape(n, h * w, 1, c), 1, 0)  # [h * w, N, 1, c]
+        block = functools.partial(encoder.communicate, index=index, valid=valid)
+        sets = map_chunks(
+            lambda part: jnp.moveaxis(block(jnp.moveaxis(part, 0, 1)), 0, 1),
+            sets,
+            max(1, CHUNK_TOKENS // n),
+        )
+        return jnp.moveaxis(sets, 0, 1).reshape(n, h, w, c)
+
+    if config.communication == "pre":
+        maps = [communicate(level, i) for i, level in enumerate(maps)]
+    contexts = map_chunks(encoder.fuse, maps, CHUNK_IMAGES)
+    if config.communication == "post":
+        contexts = communicate(contexts, 0)
+    if uniform_contexts:
+        inside = ops.resize_mask_nearest(images[..., 3], contexts.shape[1:3])[..., None]
+        total = jnp.sum(contexts * inside, axis=(1, 2), keepdims=True)
+        mean = total / jnp.maximum(jnp.sum(inside, axis=(1, 2), keepdims=True), 1)
+        contexts = jnp.broadcast_to(mean, contexts.shape)
+    return contexts
+
+
+def decode(
+    params: Params,
+    contexts: Array,
+    pixels: Array,
+    places: tuple[Array, Array],
+    frame: Frame,
+    valid: Array | None = None,
+    *,
+    config: ModelConfig,
+) -> Array:
+    """Normals of pixels: a vmap over their sets.
+
+    Args:
+        params: the network's parameters.
+        contexts: `[N, s/4, s/4, context_dim]`, from `encode`.
+        pixels: `[P, N, 3]`, normalised RGB.
+        places: rows and columns of the pixels in the image, `[P]` each.
+        frame: the square that was encoded.
+        valid: `[N]`, bool: which images count; None: all.
+        config: the network's configuration.
+
+    Returns:
+        Unit normals, `[P, 3]`.
+    """
+    network = UniPS(config).bind({"params": params})
+    offset = 0.5 if config.context_sampling == "center" else 0.0
+    scale = contexts.shape[1] / frame.side
+    rows = (places[0] - frame.top + offset) * scale - 0.5
+    columns = (places[1] - frame.left + offset) * scale - 0.5
+    sampled = network.sample(contexts, rows, columns)
+    return jax.vmap(lambda p, c: network.decoder(p, c, valid))(pixels, sampled)
+
+
+def estimate_normals(
+    params: Params,
+    images: ArrayLike,
+    mask: ArrayLike | None = None,
+    *,
+    config: ModelConfig,
+    valid: ArrayLike | None = None,
+    frame: FrameKind = "mask",
+    uniform_contexts: bool = False,
+) -> Array:
+    """Estimates an object's normals from images under different, unknown light.
+
+    Pure and jitted; works under `jit`, under `vmap` over objects and under `grad` with
+    respect to images and parameters. The encoder runs over a few images at a time and
+    the decoder over a few thousand set members, both recomputed in the backward pass,
+    so that memory beyond inputs and outputs is bounded in all three. Stretches without
+    masked pixels are skipped (not under `vmap`, which computes both branches of a
+    condition: use `jax.lax.map` over objects to keep that).
+
+    Images need not be square: the encoder sees the smallest square around the mask,
+    with zeros where it leaves the image, and no aspect ratio changes.
+
+    Args:
+        params: the network's parameters.
+        images: `[N, H, W, 3]`, linear RGB, of any scale (each is divided by its mean).
+        mask: `[H, W]`, non-zero on the object; None: the whole image.
+        config: the network's configuration.
+        valid: `[N]`, bool: images that count, so that sets can be padded; None: all.
+        frame: what the encoder's square surrounds, the "mask" or the whole "image".
+        uniform_contexts: an ablation, see `encode`.
+
+    Returns:
+        `[H, W, 3]`: unit normals inside the mask, x right, y up, z towards the viewer;
+        zero outside.
+
+    Raises:
+        ValueError: if the shapes do not fit each other.
+
+    Source: UniPS (Ikehata, CVPR 2022), Sec. 4.
+    """
+    images = jnp.asarray(images)
+    if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
+        raise ValueError(
+            f"images: expected [N, H, W, 3] with at least one image and pixel, got "
+            f"{images.shape}; grey images must be repeated over three channels"
+        )
+    mask = jnp.ones(images.shape[1:3], bool) if mask is None else jnp.asarray(mask)
+    if mask.shape != images.shape[1:3]:
+        raise ValueError(
+            f"mask: expected the images' [H, W] = {images.shape[1:3]}, got {mask.shape}"
+        )
+    if valid is not None and jnp.shape(valid) != images.shape[:1]:
+        raise ValueError(
+            f"valid: expected one flag per image, {images.shape[:1]}, got "
+            f"{jnp.shape(valid)}"
+        )
+    return _estimate_normals(
+        params,
+        images.astype(jnp.promote_types(images.dtype, jnp.float32)),
+        mask > 0,
+        None if valid is None else jnp.asarray(valid, bool),
+        config=config,
+        frame_kind=frame,
+        uniform_contexts=uniform_contexts,
+    )
+
+
+@functools.partial(
+    jax.jit, static_argnames=("config", "frame_kind", "uniform_contexts")
+)
+def _estimate_normals(
+    params: Params,
+    images: Array,
+    mask: Array,
+    valid: Array | None,
+    *,
+    config: ModelConfig,
+    frame_kind: FrameKind,
+    uniform_contexts: bool,
+) -> Array:
+    n, height, width, _ = images.shape
+    images = normalize_images(images, mask)
+    frame = square_frame(mask, frame_kind)
+    inputs = canonical_images(images, mask, frame, config.canonical_size)
+    contexts = encode(
+        params, inputs, valid, config=config, uniform_contexts=uniform_contexts
+    )
+
+    # Masked pixels first, so that whole chunks beyond them can be skipped.
+    count = height * width
+    (index,) = jnp.nonzero(mask.reshape(-1), size=count, fill_value=count)
+    flat = images.reshape(n, count, 3)
+
+    def decode_chunk(part: Array) -> Array:
+        def run(part: Array) -> Array:
+            pixels = jnp.take(flat, part, axis=1, mode="clip")  # [N, P, 3]
+            return decode(
+                params,
+                contexts,
+                jnp.moveaxis(pixels, 0, 1),
+                (part // width, part % width),
+                frame,
+                valid,
+                config=config,
+            )
+
+        empty = jnp.zeros((part.size, 3), jax.eval_shape(run, part).dtype)
+        return jax.lax.cond(part[0] < count, run, lambda _: empty, part)
+
+    decoded = map_chunks(
+        decode_chunk, index, max(1, CHUNK_TOKENS // n), fill_value=count
+    )
+    normals = jnp.zeros((count, 3), decoded.dtype)
+    normals = normals.at[index].set(decoded, mode="drop")
+    return normals.reshape(height, width, 3)
+
+
+def map_chunks(
+    function: Callable[[Any], Any], xs: Any, size: int, *, fill_value: float = 0
+) -> Any:
+    """Applies a function to chunks of the leading axis, rematerialised under `grad`.
+
+    Chunks are evenly sized, the last one padded with `fill_value`.
+    """
+    total = jax.tree.leaves(xs)[0].shape[0]
+    chunks = -(-total // size)
+    if chunks == 1:
+        return jax.checkpoint(function)(xs)
+    size = -(-total // chunks)
+
+    def split(x: Array) -> Array:
+        widths = [(0, chunks * size - total)] + [(0, 0)] * (x.ndim - 1)
+        x = jnp.pad(x, widths, constant_values=fill_value)
+        return x.reshape(chunks, size, *x.shape[1:])
+
+    out = jax.lax.map(jax.checkpoint(function), jax.tree.map(split, xs))
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:total], out)

@@ -1,0 +1,147 @@
+"""`estimate_normals` for photographs: they stay on the host in their storage type."""
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+from unips_jax.config import ModelConfig
+from unips_jax.estimation import (
+    CHUNK_TOKENS,
+    Frame,
+    FrameKind,
+    decode,
+    encode,
+    square_frame,
+)
+
+# Set sizes that are compiled; a set is padded to the next.
+_BUCKETS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 80, 96, 128)
+
+
+def estimate_photographs(
+    params: Any,
+    images: np.ndarray,
+    mask: np.ndarray,
+    *,
+    config: ModelConfig,
+    transfer: Literal["linear", "srgb"] = "linear",
+    frame: FrameKind = "mask",
+    uniform_contexts: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> np.ndarray:
+    """`estimate_normals` for large photographs, which stay in their storage type.
+
+    Gives what `estimate_normals` gives for the linear images, to float order. Memory
+    beyond `images`, `mask` and the result does not grow with the number of pixels, and
+    with the number of images only by their contexts. Sets are padded to a few sizes, so
+    that one compilation serves many.
+
+    Args:
+        params: the network's parameters.
+        images: `[N, H, W, 3]`, uint8, uint16 or float32.
+        mask: `[H, W]`, bool.
+        config: the network's configuration.
+        transfer: how values encode light; "srgb" is undone first.
+        frame: see `estimate_normals`.
+        uniform_contexts: see `encode`.
+        progress: called with the numbers of pixels done and to do.
+
+    Returns:
+        `[H, W, 3]`, float32: unit normals inside the mask, zero outside.
+    """
+    n = images.shape[0]
+    bucket = next((b for b in _BUCKETS if b >= n), n)
+    valid = np.arange(bucket) < n
+    square = square_frame(mask, frame)
+    rows, columns = np.nonzero(mask)
+    inputs = np.zeros((bucket, *[config.canonical_size] * 2, 4), np.float32)
+    gains = np.zeros(n, np.float32)
+    for i in range(n):
+        gains[i] = _gain(images[i], mask, transfer)
+        canonical = _canonical_photograph(
+            images[i], mask, square, config.canonical_size, transfer
+        )
+        inputs[i] = canonical * np.array([gains[i]] * 3 + [1], np.float32)
+    contexts = _encode_jit(
+        params, inputs, valid, config=config, uniform_contexts=uniform_contexts
+    )
+
+    normals = np.zeros((*mask.shape, 3), np.float32)
+    size = max(1, CHUNK_TOKENS // bucket)
+    for start in range(0, rows.size, size):
+        y, x = rows[start : start + size], columns[start : start + size]
+        pixels = np.zeros((size, bucket, 3), np.float32)
+        for i in range(n):
+            pixels[: y.size, i] = _linear(images[i][y, x], transfer) * gains[i]
+        places = tuple(np.resize(p, size).astype(np.int32) for p in (y, x))
+        decoded = _decode_jit(
+            params, contexts, pixels, places, square, valid, config=config
+        )
+        normals[y, x] = np.asarray(decoded)[: y.size]
+        if progress is not None:
+            progress(start + y.size, rows.size)
+    return normals
+
+
+_encode_jit = jax.jit(encode, static_argnames=("config", "uniform_contexts"))
+
+
+_decode_jit = jax.jit(decode, static_argnames="config")
+
+
+def _linear(values: np.ndarray, transfer: str) -> np.ndarray:
+    """Values of linear light, float32, in [0, 1] for integers."""
+    if values.dtype.kind == "u":
+        values = values.astype(np.float32) / np.iinfo(values.dtype).max
+    values = values.astype(np.float32, copy=False)
+    if transfer == "srgb":
+        low = values / 12.92
+        high = ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4
+        values = np.where(values <= 0.04045, low, high).astype(np.float32)
+    return values
+
+
+def _gain(image: np.ndarray, mask: np.ndarray, transfer: str) -> float:
+    """One over the mean of the masked pixels, found a few rows at a time."""
+    total, count, step = 0.0, 0, max(1, 2**18 // image.shape[1])
+    for start in range(0, image.shape[0], step):
+        values = image[start : start + step][mask[start : start + step]]
+        total += float(np.sum(_linear(values, transfer), dtype=np.float64))
+        count += values.size
+    return count / total if total > 0 else 1.0
+
+
+def _canonical_photograph(
+    image: np.ndarray, mask: np.ndarray, frame: Frame, size: int, transfer: str
+) -> np.ndarray:
+    """`canonical_images` of one photograph, touching only the pixels it needs."""
+
+    def axis(start: int, length: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        side = int(frame.side)
+        places = (np.arange(size, dtype=np.float32) + 0.5) * side / size - 0.5
+        places = start + np.clip(places, 0, side - 1)
+        first = np.floor(places).astype(int)
+        weights, cells = [], []
+        for cell in (first, first + 1):
+            inside = (cell >= 0) & (cell < length)
+            weights.append(np.where(inside, 1 - abs(places - cell), 0))
+            cells.append(np.clip(cell, 0, length - 1))
+        return weights, cells
+
+    row_weights, rows = axis(int(frame.top), image.shape[0])
+    column_weights, columns = axis(int(frame.left), image.shape[1])
+    out = np.zeros((size, size, 4), np.float32)
+    for wy, y in zip(row_weights, rows, strict=True):
+        for wx, x in zip(column_weights, columns, strict=True):
+            at = np.ix_(y, x)
+            values = _linear(image[at], transfer) * mask[at][..., None]
+            out[..., :3] += values * (wy[:, None] * wx)[..., None].astype(np.float32)
+    steps = np.arange(size) * int(frame.side) // size
+    y, x = int(frame.top) + steps, int(frame.left) + steps
+    inside = ((y >= 0) & (y < mask.shape[0]))[:, None] & (x >= 0) & (x < mask.shape[1])
+    inside &= mask.take(y, axis=0, mode="clip").take(x, axis=1, mode="clip")
+    out[..., :3] *= inside[..., None]
+    out[..., 3] = inside
+    return out
