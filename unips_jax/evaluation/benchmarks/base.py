@@ -1,0 +1,295 @@
+"""What every benchmark is: a list of objects, read one at a time, never written to."""
+
+import abc
+import dataclasses
+import hashlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from unips_jax.baselines.method import Lights
+from unips_jax.command import InputError
+from unips_jax.evaluation.benchmarks import files, images
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """One object under one lighting, known by its files.
+
+    Attributes:
+        name: unique in the benchmark, such as `ball` or `directional/obj003`.
+        images: the photographs, in order.
+        files: the other files that are read for it (mask, truth, lights).
+        tags: `object`, and where they apply `lighting`, `category`, `material`, `view`.
+        notes: quirks of the data that were dealt with, one sentence each.
+    """
+
+    name: str
+    images: tuple[Path, ...]
+    files: tuple[Path, ...]
+    tags: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+
+
+class Truth(NamedTuple):
+    """What is known about an object besides its photographs.
+
+    Attributes:
+        mask: `[H, W]`, bool.
+        normals: `[H, W, 3]`, float32, as published (zero where unknown); None where
+            the truth is withheld.
+        lights: known distant lights of all images.
+        focal: focal length in pixels.
+        notes: quirks met.
+    """
+
+    mask: np.ndarray
+    normals: np.ndarray | None
+    lights: Lights | None = None
+    focal: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+class Item(NamedTuple):
+    """An object, read.
+
+    Attributes:
+        name: as in `Entry`.
+        images: `[N, H, W, 3]`, uint8, uint16 or float32, as stored.
+        mask: `[H, W]`, bool, True on the object.
+        normals: `[H, W, 3]`, float32; zero outside the mask and where the published
+            truth has no direction; None where the truth is withheld.
+        lights: known distant lights.
+        focal: focal length in pixels, None where unknown or orthographic.
+        tags: as in `Entry`.
+        notes: quirks of the data that were dealt with.
+    """
+
+    name: str
+    images: np.ndarray
+    mask: np.ndarray
+    normals: np.ndarray | None
+    lights: Lights | None
+    focal: float | None
+    tags: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+class Benchmark(abc.ABC):
+    """A benchmark as published, on disk.
+
+    Building one checks the layout: every file that will be read must be there.
+    `check` reads an object's files through; `benchmark[i]` gives the object.
+
+    Attributes:
+        name: as on the command line.
+        default_protocol: the protocol its published scores were measured with.
+        channels: numbers of channels its photographs may have.
+        crop_focal_ratio: focal length over the side of the square crop, where the
+            camera is not known but published scores assumed one.
+        root: the folder given.
+        entries: its objects.
+    """
+
+    name: ClassVar[str]
+    default_protocol: ClassVar[str] = "native"
+    channels: ClassVar[tuple[int, ...]] = (3,)
+    crop_focal_ratio: ClassVar[float | None] = None
+
+    def __init__(self, root: str | os.PathLike[str], *, objects: Sequence[str] = ()):
+        """Finds the benchmark's files.
+
+        Args:
+            root: its folder.
+            objects: keep only these (names of entries or of objects); all where empty.
+
+        Raises:
+            InputError: naming what was expected and is not there.
+        """
+        self.root = files.require_folder(Path(root), f"the benchmark {self.name}")
+        found = list(self.find(tuple(objects)))
+        if not found:
+            raise InputError(f"{self.root}: holds no object of the benchmark")
+        known = {name for entry in found for name in (entry.name, entry.tags["object"])}
+        unknown = [name for name in objects if name not in known]
+        if unknown:
+            raise InputError(
+                f"no object {unknown[0]!r} in {self.root}; it has "
+                f"{_some(sorted(known))}"
+            )
+        self.entries = tuple(
+            entry
+            for entry in found
+            if not objects or {entry.name, entry.tags["object"]} & set(objects)
+        )
+        for entry in self.entries:
+            for path in (*entry.images, *entry.files):
+                files.require_file(path, f"a file of {entry.name}")
+
+    @abc.abstractmethod
+    def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
+        """Yields the entries; may pass over objects other than those wanted."""
+
+    @abc.abstractmethod
+    def truth(self, entry: Entry) -> Truth:
+        """Reads everything but the photographs."""
+
+    def __len__(self) -> int:
+        """Number of entries."""
+        return len(self.entries)
+
+    def __getitem__(self, index: int) -> Item:
+        """Reads an object.
+
+        Raises:
+            InputError: if a file is damaged or the files do not agree.
+        """
+        entry = self.entries[index]
+        truth = self._checked_truth(entry)
+        shape = truth.mask.shape
+        stack: np.ndarray | None = None
+        for i, path in enumerate(entry.images):
+            image = images.read_image(path)
+            self._check_image(path, image.shape[2], image.shape[:2], shape)
+            image = np.broadcast_to(image[..., :3], (*shape, 3))
+            if stack is None:
+                stack = np.empty((len(entry.images), *shape, 3), image.dtype)
+            elif image.dtype != stack.dtype:
+                raise InputError(f"{path}: {image.dtype}, the others {stack.dtype}")
+            stack[i] = image
+        assert stack is not None  # `find` never yields an entry without images
+        return Item(
+            entry.name,
+            stack,
+            truth.mask,
+            truth.normals,
+            truth.lights,
+            truth.focal,
+            entry.tags,
+            entry.notes + truth.notes,
+        )
+
+    def check(self, index: int) -> str:
+        """Reads an object's files through without keeping its photographs.
+
+        Returns:
+            The fingerprint of its data: a hash of the names (relative to the root) and
+            contents of all its files, and of what the reader made of them.
+
+        Raises:
+            InputError: if a file is damaged or the files do not agree.
+        """
+        entry = self.entries[index]
+        truth = self._checked_truth(entry)
+        digest = hashlib.blake2b(digest_size=16)
+        first: images.ImageFacts | None = None
+        for path in entry.images:
+            data = files.read_bytes(path)
+            self._digest(digest, path, data)
+            facts = images.image_facts(data, path)
+            self._check_image(path, facts.channels, facts[:2], truth.mask.shape)
+            first = first or facts
+            if facts.bits != first.bits:
+                raise InputError(
+                    f"{path}: {facts.bits} bits, but {entry.images[0].name} has "
+                    f"{first.bits}"
+                )
+        for path in entry.files:
+            self._digest(digest, path, files.read_bytes(path))
+        digest.update(repr(sorted(entry.tags.items())).encode())
+        return digest.hexdigest()
+
+    def _digest(self, digest: "hashlib.blake2b", path: Path, data: bytes) -> None:
+        name = Path(os.path.relpath(path, self.root)).as_posix()
+        digest.update(f"{name}\0{len(data)}\0".encode())
+        digest.update(data)
+
+    def _check_image(
+        self, path: Path, channels: int, size: tuple[int, ...], expected: Sequence[int]
+    ) -> None:
+        if channels not in self.channels:
+            allowed = " or ".join(map(str, self.channels))
+            raise InputError(f"{path}: expected {allowed} channels, got {channels}")
+        if tuple(size) != tuple(expected):
+            raise InputError(
+                f"{path}: {size[1]} x {size[0]} pixels, but the mask has "
+                f"{expected[1]} x {expected[0]}"
+            )
+
+    def _checked_truth(self, entry: Entry) -> Truth:
+        truth = self.truth(entry)
+        where = f"{self.root}, {entry.name}"
+        if not truth.mask.any():
+            raise InputError(f"{where}: the mask is empty")
+        count = len(entry.images)
+        if truth.lights is not None and len(truth.lights.directions) != count:
+            raise InputError(
+                f"{where}: {count} images but {len(truth.lights.directions)} lights"
+            )
+        if truth.normals is None:
+            return truth
+        if truth.normals.shape != (*truth.mask.shape, 3):
+            raise InputError(
+                f"{where}: the true normals have shape {truth.normals.shape}, the mask "
+                f"{truth.mask.shape}"
+            )
+        # A zero vector stored in integers decodes to a length of up to 0.007.
+        known = truth.mask & (np.linalg.norm(truth.normals, axis=-1) > 0.1)
+        normals = np.where(known[..., None], truth.normals, 0).astype(np.float32)
+        inside = normals[truth.mask]
+        notes = list(truth.notes)
+        zero = int((truth.mask & ~known).sum())
+        if zero == len(inside):
+            raise InputError(f"{where}: all true normals are zero")
+        if zero:
+            notes.append(f"{zero} true normals of zero length count as 90 degrees")
+        if inside[:, 2].mean() < 0:
+            notes.append(
+                "on average the true normals point away from the viewer: the file may "
+                "follow another convention than x right, y up, z to the viewer"
+            )
+        return truth._replace(normals=normals, notes=tuple(notes))
+
+
+def distant_lights(
+    directions: np.ndarray, intensities: np.ndarray | None, where: Path
+) -> Lights:
+    """Lights from tables, directions brought to unit length.
+
+    Args:
+        directions: `[N, 3]`, surface to light.
+        intensities: `[N, 3]`; None where all are 1.
+        where: the folder they came from, for errors.
+
+    Raises:
+        InputError: if a direction is zero, an intensity not positive, or the numbers
+            of rows differ.
+    """
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    if (length == 0).any():
+        raise InputError(
+            f"{where}: light {int(np.argmin(length)) + 1} has no direction"
+        )
+    if intensities is None:
+        intensities = np.ones_like(directions)
+    if len(intensities) != len(directions):
+        raise InputError(
+            f"{where}: {len(directions)} light directions but {len(intensities)} "
+            "intensities"
+        )
+    if (intensities <= 0).any():
+        row = int(np.argwhere(intensities <= 0)[0, 0])
+        raise InputError(
+            f"{where}: light {row + 1} has an intensity that is not positive"
+        )
+    return Lights(
+        (directions / length).astype(np.float32), intensities.astype(np.float32)
+    )
+
+
+def _some(names: Sequence[str], limit: int = 12) -> str:
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more

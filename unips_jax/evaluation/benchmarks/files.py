@@ -1,0 +1,139 @@
+"""Finding and reading the files other than images, with errors that name the file.
+
+Everything here reads; nothing writes. A file that is missing, cut short or of another
+kind raises `InputError`, never a library's own exception.
+"""
+
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unips_jax.command import InputError
+
+
+def natural_key(name: str) -> tuple[Any, ...]:
+    """Sorts `2.png` before `10.png`."""
+    parts = re.split(r"(\d+)", name.lower())
+    return tuple((0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts)
+
+
+def require_folder(path: Path, what: str) -> Path:
+    """Returns the path.
+
+    Raises:
+        InputError: if it is not a folder; `what` says what was expected there.
+    """
+    if not path.is_dir():
+        raise InputError(f"{path}: no such folder; expected {what}")
+    return path
+
+
+def require_file(path: Path, what: str) -> Path:
+    """Returns the path.
+
+    Raises:
+        InputError: if it is not a file; `what` says what was expected there.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected {what}")
+    return path
+
+
+def read_bytes(path: Path) -> bytes:
+    """The file's bytes.
+
+    Raises:
+        InputError: if it cannot be read or is empty.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if not data:
+        raise InputError(f"{path}: the file is empty")
+    return data
+
+
+def read_numbers(path: Path, columns: int, what: str, *, skip: int = 0) -> np.ndarray:
+    """A text table of numbers separated by white space.
+
+    Args:
+        path: the file.
+        columns: numbers expected on each line; blank lines are passed over.
+        what: what the table is, for errors.
+        skip: leading lines that are not part of it.
+
+    Returns:
+        `[lines, columns]`, float64.
+
+    Raises:
+        InputError: naming the line that does not fit.
+    """
+    require_file(path, what)
+    text = read_bytes(path).decode("utf-8", "replace")
+    rows = []
+    for number, line in enumerate(text.splitlines()[skip:], skip + 1):
+        fields = line.replace(",", " ").split()
+        if not fields:
+            continue
+        try:
+            row = [float(field) for field in fields]
+        except ValueError:
+            row = []
+        if len(row) != columns or not np.isfinite(row).all():
+            raise InputError(
+                f"{path}, line {number}: expected {columns} finite numbers ({what}), "
+                f"got {line.strip()[:60]!r}"
+            )
+        rows.append(row)
+    if not rows:
+        raise InputError(f"{path}: no numbers; expected {what}")
+    return np.array(rows)
+
+
+def read_mat(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Variables of a MATLAB file (versions 4 to 7).
+
+    Args:
+        path: the file.
+        keys: the variables wanted.
+
+    Raises:
+        InputError: if the file is damaged or lacks one of them.
+    """
+    from scipy.io import loadmat
+
+    require_file(path, f"a MATLAB file with {', '.join(keys)}")
+    if read_bytes(path).startswith(b"MATLAB 7.3"):
+        raise InputError(f"{path}: saved by MATLAB as -v7.3; save it again with -v7")
+    try:
+        content = loadmat(path)
+    except Exception as error:  # scipy raises what its parser stumbles on
+        raise InputError(
+            f"{path}: not a readable MATLAB file ({type(error).__name__}: {error})"
+        ) from error
+    missing = [key for key in keys if key not in content]
+    if missing:
+        found = sorted(key for key in content if not key.startswith("__"))
+        raise InputError(f"{path}: no variable {missing[0]!r}, found {found}")
+    return {key: content[key] for key in keys}
+
+
+def read_npz(path: Path, key: str) -> np.ndarray:
+    """One array of a NumPy archive.
+
+    Raises:
+        InputError: if the file is damaged or lacks it.
+    """
+    require_file(path, f"a NumPy archive with {key}")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            found = sorted(archive.files)
+            if key in found:
+                return archive[key]
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        raise InputError(f"{path}: not a readable NumPy archive ({error})") from error
+    raise InputError(f"{path}: no array {key!r}, found {found}")

@@ -1,0 +1,93 @@
+"""A plain folder of photographs with a `normal.*`, or a folder of such folders."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from unips_jax.command import InputError
+from unips_jax.evaluation.benchmarks import files, images
+from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
+
+_TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
+
+
+class Folder(Benchmark):
+    """Your own objects: photographs, a normal map, and a `mask.png` or none.
+
+    Each object is a folder (ROOT itself, or the folders in it) with photographs of any
+    names and formats, `normal.*` (or `normals.*`, `Normal_gt.*`; PNG, TIFF, EXR) in the
+    convention x right, y up, z to the viewer, stored as (n + 1) / 2 in images of 8 or
+    16 bits and as n in floating point, and, where it is given, `mask.*`. Without a mask
+    the object's pixels are those whose true normal has unit length (to 1e-3 in 16 bits
+    or more, to 0.05 in 8). Files named like masks, truth, depth or materials are never
+    taken for photographs. Photographs are read as linear; grey ones are repeated over
+    the channels, transparency is ignored.
+    """
+
+    name = "folder"
+    default_protocol = "native"
+    channels = (1, 3, 4)
+
+    def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
+        """Yields the root itself if it has a normal map, else the folders in it."""
+        if _truth_file(self.root) is not None:
+            yield self._entry(self.root)
+            return
+        folders = sorted(
+            (p for p in self.root.iterdir() if p.is_dir() and _truth_file(p)),
+            key=lambda p: files.natural_key(p.name),
+        )
+        if not folders:
+            raise InputError(
+                f"{self.root}: expected a normal map `normal.*`, or folders with one"
+            )
+        for folder in folders:
+            yield self._entry(folder)
+
+    def _entry(self, folder: Path) -> Entry:
+        truth = _truth_file(folder)
+        assert truth is not None  # `find` looked
+        photographs = tuple(
+            sorted(
+                (p for p in folder.iterdir() if images.is_photograph(p)),
+                key=lambda p: files.natural_key(p.name),
+            )
+        )
+        if not photographs:
+            raise InputError(f"{folder}: no photographs beside {truth.name}")
+        masks = sorted(p for p in folder.glob("[mM]ask.*") if _is_image(p))[:1]
+        name = folder.name.removesuffix(".data")
+        return Entry(name, photographs, (truth, *masks), {"object": name})
+
+    def truth(self, entry: Entry) -> Truth:
+        """Reads the true normals and the mask."""
+        path = entry.files[0]
+        normals = images.read_normals(path)
+        if len(entry.files) > 1:
+            mask = images.read_mask(entry.files[1])
+            if mask.shape != normals.shape[:2]:
+                raise InputError(
+                    f"{entry.files[1]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
+                    f"{path.name} has {normals.shape[1]} x {normals.shape[0]}"
+                )
+            return Truth(mask, normals)
+        return Truth(_unit(path, normals), normals)
+
+
+def _unit(path: Path, normals: np.ndarray) -> np.ndarray:
+    facts = images.image_facts(files.read_bytes(path), path)
+    if facts.bits > 8:
+        return images.has_unit_length(normals)
+    return np.abs(np.linalg.norm(normals, axis=-1) - 1) < 0.05
+
+
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in images.IMAGE_SUFFIXES
+
+
+def _truth_file(folder: Path) -> Path | None:
+    found = sorted(
+        p for p in folder.iterdir() if p.stem.lower() in _TRUTH_STEMS and _is_image(p)
+    )
+    return found[0] if found else None

@@ -1,0 +1,200 @@
+"""PS-Wild: rendered objects with measured materials (UniPS, CVPR 2022, Sec. 5).
+
+A folder `X.data/` holds linear RGB photographs and `normal.tif`, 16 bit,
+n = 2 v / 65535 - 1 (x right, y up, z to the viewer). Pixels of the object are those
+where | 1 - |n| | < 1e-3; a `mask.png`, where there is one, narrows them. The sets that
+`unips render` writes have the same layout, with a `meta.json` besides.
+
+The public description does not say how PS-Wild-Test's three lightings lie on disk.
+Every `*.data` folder at most three levels below the root is taken; the folder above it
+names its lighting (`directional`; `environment`, `hdri`, `env`; `mixed`,
+`directional_hdri`, ...), and an object without such a folder has none.
+"""
+
+import csv
+import functools
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unips_jax.baselines.method import Lights
+from unips_jax.command import InputError
+from unips_jax.evaluation.benchmarks import files, images
+from unips_jax.evaluation.benchmarks.base import (
+    Benchmark,
+    Entry,
+    Truth,
+    distant_lights,
+)
+
+_LIGHTINGS = {
+    **{name: "directional" for name in ("directional", "dir", "directional_light")},
+    **{name: "environment" for name in ("environment", "env", "hdri", "hdr")},
+    **{
+        name: "mixed"
+        for name in ("mixed", "directional_hdri", "dir_hdri", "dirhdri", "both")
+    },
+}
+_ORDER = {"directional": 0, "environment": 1, "mixed": 2}
+
+
+class PSWildTest(Benchmark):
+    """PS-Wild-Test, or what `unips render` wrote: photographs `L*`.
+
+    The categories of material come from `meta.json` where there is one, otherwise from
+    the paper's supplement (Figures 3-52): by the object's and the material's names if
+    the folder's name holds both, else by position if a lighting has exactly 50 objects.
+    """
+
+    name = "ps-wild"
+    default_protocol = "crop"
+    crop_focal_ratio = 1.0  # the paper ran Variational with f = 256 on 256 x 256
+    prefix = "l"
+
+    def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
+        """Yields lighting by lighting, object by object."""
+        folders: list[Path] = []
+        for depth in range(4):
+            folders += [p for p in self.root.glob("*/" * depth + "*.data")]
+        groups: dict[Path, list[Path]] = {}
+        for folder in sorted({p for p in folders if p.is_dir()}, key=_path_key):
+            groups.setdefault(folder.parent, []).append(folder)
+        if not groups:
+            raise InputError(
+                f"{self.root}: expected folders X.data at most three levels down, "
+                "found none"
+            )
+        parents = sorted(groups, key=lambda p: (_ORDER.get(_lighting(p), 9), str(p)))
+        for parent in parents:
+            for position, folder in enumerate(groups[parent]):
+                yield self._entry(folder, position, len(groups[parent]))
+
+    def _entry(self, folder: Path, position: int, count: int) -> Entry:
+        photographs = tuple(
+            sorted(
+                (
+                    p
+                    for p in folder.iterdir()
+                    if p.name.lower().startswith(self.prefix)
+                    and images.is_photograph(p)
+                ),
+                key=lambda p: files.natural_key(p.name),
+            )
+        )
+        if not photographs:
+            raise InputError(f"{folder}: no photographs named {self.prefix.upper()}*")
+        extras = [p for n in ("mask.png", "meta.json") if (p := folder / n).is_file()]
+        tags = {"object": folder.name.removesuffix(".data")}
+        relative = folder.parent.relative_to(self.root)
+        if folder.parent != self.root:
+            tags["lighting"] = _lighting(folder.parent)
+        tags |= _materials(folder, position, count)
+        name = (relative / tags["object"]).as_posix()
+        return Entry(name, photographs, (folder / "normal.tif", *extras), tags)
+
+    def truth(self, entry: Entry) -> Truth:
+        """Reads the true normals and what `meta.json` says of lights and camera."""
+        path = entry.files[0]
+        normals = images.read_normals(path)
+        mask = images.has_unit_length(normals)
+        notes = []
+        for extra in entry.files[1:]:
+            if extra.name != "mask.png":
+                continue
+            given = images.read_mask(extra)
+            if given.shape != mask.shape:
+                raise InputError(
+                    f"{extra}: {given.shape[1]} x {given.shape[0]} pixels, but "
+                    f"{path.name} has {mask.shape[1]} x {mask.shape[0]}"
+                )
+            lost = int((given & ~mask).sum())
+            if lost:
+                notes.append(f"{lost} masked pixels have no true normal: left out")
+            mask &= given
+        meta = _meta(path.parent)
+        lights = _meta_lights(meta, path.parent / "meta.json")
+        focal = meta.get("focal")
+        if focal is not None and not (isinstance(focal, (int, float)) and focal > 0):
+            raise InputError(f"{path.parent / 'meta.json'}: focal is not a length")
+        return Truth(mask, normals, lights, focal, tuple(notes))
+
+
+class PSWildTrain(PSWildTest):
+    """PS-Wild's training folders: photographs `0*`, ten per object.
+
+    `baseColor.tif`, `roughness.tif`, `metal.tif` and `depth.exr` are neither read nor
+    touched.
+    """
+
+    name = "ps-wild-train"
+    prefix = "0"
+
+
+def _path_key(path: Path) -> tuple[Any, ...]:
+    return (str(path.parent), files.natural_key(path.name))
+
+
+def _lighting(folder: Path) -> str:
+    name = folder.name.lower().replace("-", "_").replace("+", "_").replace(" ", "_")
+    return _LIGHTINGS.get(name, folder.name)
+
+
+@functools.cache
+def manifest() -> tuple[Mapping[str, str], ...]:
+    """The 50 test objects in the supplement's order: object, material, category."""
+    path = Path(__file__).with_name("ps_wild_test.csv")
+    with path.open(newline="") as file:
+        return tuple(csv.DictReader(file))
+
+
+def _materials(folder: Path, position: int, count: int) -> dict[str, str]:
+    meta = _meta(folder)
+    if meta:
+        keys = ("category", "material", "shape")
+        return {k: meta[k] for k in keys if isinstance(meta.get(k), str)}
+    stem = folder.name.lower().replace("_", "-")
+    named = [r for r in manifest() if r["object"] in stem and r["material"] in stem]
+    # "explosion-blue" is also part of "explosion-blue-1": the longest name is meant.
+    named.sort(key=lambda row: -len(row["object"] + row["material"]))
+    row = named[0] if named else manifest()[position] if count == 50 else None
+    if row is None:
+        return {}
+    return {"category": row["category"], "material": row["material"]}
+
+
+def _meta(folder: Path) -> dict[str, Any]:
+    path = folder / "meta.json"
+    if not path.is_file():
+        return {}
+    try:
+        meta = json.loads(files.read_bytes(path))
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON ({error})") from error
+    if not isinstance(meta, dict):
+        raise InputError(f"{path}: expected a JSON object")
+    return meta
+
+
+def _meta_lights(meta: Mapping[str, Any], path: Path) -> Lights | None:
+    if meta.get("light_directions") is None:
+        return None
+    arrays: list[np.ndarray | None] = []
+    for key in ("light_directions", "light_intensities"):
+        value = meta.get(key)
+        if value is None:
+            arrays.append(None)
+            continue
+        try:
+            array = np.array(value, np.float64)
+        except (ValueError, TypeError):
+            array = np.empty(0)
+        if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
+            raise InputError(
+                f"{path}: expected three finite numbers per image in {key}"
+            )
+        arrays.append(array)
+    assert arrays[0] is not None  # its key is there
+    return distant_lights(arrays[0], arrays[1], path.parent)

@@ -1,0 +1,191 @@
+"""How an object is shown to every method, and compared.
+
+`crop`: the seed paper's comparison (UniPS, CVPR 2022, Sec. 5): the same square centre
+crop around the mask for every method, 256 x 256, the mask given to all. The paper does
+not print its box or its resampling. Here the box is the mask's bounding box and 4
+pixels on each side, made square about its centre (black where it leaves the image). The
+box is brought to 256 x 256 by area averages over the masked pixels alone (bilinear
+where it is smaller than that), truth included, and a pixel belongs to the object if at
+least half of it does. A box of 256 x 256 passes unchanged.
+
+`native`: the images as they are.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import cv2
+import numpy as np
+
+from unips_jax.baselines.method import Lights
+from unips_jax.command import InputError
+from unips_jax.evaluation.benchmarks import Item
+
+_MARGIN = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class Protocol:
+    """A protocol with its numbers.
+
+    Attributes:
+        name: "crop" or "native".
+        size: side of the crop, in pixels.
+    """
+
+    name: Literal["crop", "native"]
+    size: int = 256
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
+
+        Raises:
+            InputError: if there is no such protocol, or the crop is too small.
+        """
+        if self.name not in ("crop", "native"):
+            raise InputError(f"protocol: expected crop or native, got {self.name!r}")
+        if self.size < 8:
+            raise InputError(f"crop size: expected at least 8 pixels, got {self.size}")
+
+    @property
+    def label(self) -> str:
+        """A word for tables and result keys, such as `crop256`."""
+        return f"crop{self.size}" if self.name == "crop" else "native"
+
+
+class Case(NamedTuple):
+    """What methods get, and what their estimate is compared with.
+
+    Attributes:
+        images: `[N, h, w, 3]`, float32, linear, in [0, 1] for integer files.
+        mask: `[h, w]`, bool.
+        normals: `[h, w, 3]`, float32; None where the truth is withheld.
+        lights: of the images shown.
+        focal: in pixels of these images.
+    """
+
+    images: np.ndarray
+    mask: np.ndarray
+    normals: np.ndarray | None
+    lights: Lights | None
+    focal: float | None
+
+
+class Box(NamedTuple):
+    """A square in an image; it may reach beyond the borders."""
+
+    top: int
+    left: int
+    side: int
+
+
+def choose_images(count: int, total: int, *, seed: int) -> np.ndarray:
+    """The images of a subset, in the order of the files.
+
+    Subsets of one seed are nested: the 4 images are among the 8.
+
+    Args:
+        count: number of images wanted, at most `total`.
+        total: number of images there are.
+        seed: of the draw, which is the same for every object with as many images.
+
+    Returns:
+        `[count]`, increasing indices.
+    """
+    order = np.random.default_rng([seed, total]).permutation(total)
+    return np.sort(order[:count])
+
+
+def square_box(mask: np.ndarray) -> Box:
+    """The crop's box: the mask's bounding box, 4 pixels around, made square.
+
+    Args:
+        mask: `[H, W]`, bool, not empty.
+    """
+    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
+    height = int(rows[-1] - rows[0]) + 1
+    width = int(columns[-1] - columns[0]) + 1
+    side = max(height, width) + 2 * _MARGIN
+    return Box(
+        int(rows[0]) - (side - height) // 2, int(columns[0]) - (side - width) // 2, side
+    )
+
+
+def show(
+    item: Item,
+    protocol: Protocol,
+    chosen: Sequence[int] | np.ndarray,
+    *,
+    crop_focal_ratio: float | None = None,
+) -> Case:
+    """Prepares an object.
+
+    Args:
+        item: the object as read.
+        protocol: how to show it.
+        chosen: indices of the images to show.
+        crop_focal_ratio: focal length over the crop's side, used by `crop` where the
+            object's camera is not known.
+    """
+    chosen = np.asarray(chosen)
+    lights = item.lights
+    if lights is not None:
+        lights = Lights(lights.directions[chosen], lights.intensities[chosen])
+    if protocol.name == "native":
+        images = np.stack([_unit_range(item.images[i]) for i in chosen])
+        return Case(images, item.mask, item.normals, lights, item.focal)
+    box = square_box(item.mask)
+    weight = _resize(_cut(item.mask, box).astype(np.float32), protocol.size)
+    mask = weight >= min(0.5, weight.max())
+    divisor = np.where(mask, weight, 1)[..., None]
+
+    def crop(image: np.ndarray) -> np.ndarray:
+        part = _cut(image * item.mask[..., None], box)
+        return np.where(mask[..., None], _resize(part, protocol.size) / divisor, 0)
+
+    focal = item.focal
+    if focal is not None:
+        focal *= protocol.size / box.side
+    elif crop_focal_ratio is not None:
+        focal = crop_focal_ratio * protocol.size
+    return Case(
+        np.stack([crop(_unit_range(item.images[i])) for i in chosen]),
+        mask,
+        None if item.normals is None else _unit_length(crop(item.normals)),
+        lights,
+        focal,
+    )
+
+
+def _unit_range(image: np.ndarray) -> np.ndarray:
+    image = np.asarray(image)
+    if image.dtype.kind == "f":
+        return image.astype(np.float32)
+    return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
+
+
+def _cut(array: np.ndarray, box: Box) -> np.ndarray:
+    """The box's pixels `[side, side, ...]`, zero beyond the borders."""
+    result = np.zeros((box.side, box.side, *array.shape[2:]), array.dtype)
+    top, left = max(box.top, 0), max(box.left, 0)
+    part = array[top : box.top + box.side, left : box.left + box.side]
+    rows, columns = part.shape[:2]
+    result[
+        top - box.top : top - box.top + rows,
+        left - box.left : left - box.left + columns,
+    ] = part
+    return result
+
+
+def _resize(image: np.ndarray, size: int) -> np.ndarray:
+    shrinks = image.shape[0] > size
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return cv2.resize(image, (size, size), interpolation=interpolation)
+
+
+def _unit_length(normals: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.where(length > 1e-6, normals / np.maximum(length, 1e-6), 0).astype(
+        np.float32
+    )

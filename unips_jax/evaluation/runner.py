@@ -1,0 +1,253 @@
+"""Runs every method on every object, once.
+
+A task is a method, an object and a number of images. Its result's key holds the
+method with options, the hash of its weights, the protocol, the images chosen, the
+object's data and this program's version, so a result of anything else is never taken
+for it. The order of work is that of the tables; processes that share a work folder
+pass over each other's tasks and wait for them at the end.
+"""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from unips_jax import __version__
+from unips_jax.baselines.method import Unsupported
+from unips_jax.command import InputError
+from unips_jax.evaluation.benchmarks import Benchmark, Item
+from unips_jax.evaluation.methods import Variant
+from unips_jax.evaluation.protocols import Case, Protocol, choose_images, show
+from unips_jax.evaluation.scores import Score, from_json, score
+from unips_jax.evaluation.store import Store, result_key, slug
+
+_POLL_S = 0.2
+
+
+class Plan(NamedTuple):
+    """What is to be evaluated.
+
+    Attributes:
+        benchmark: the data.
+        variants: the methods.
+        protocol: how objects are shown.
+        counts: numbers of images; None stands for all.
+        seed: of the subsets.
+        fingerprints: of each entry's data.
+    """
+
+    benchmark: Benchmark
+    variants: Sequence[Variant]
+    protocol: Protocol
+    counts: Sequence[int | None]
+    seed: int
+    fingerprints: Sequence[str]
+
+
+class Task(NamedTuple):
+    """A method, an object and a number of images.
+
+    Attributes:
+        index: the entry's.
+        variant: the method.
+        count: number of images; None for all.
+        name: of the result in the store.
+        fields: what the result depends on.
+    """
+
+    index: int
+    variant: Variant
+    count: int | None
+    name: str
+    fields: dict[str, Any]
+
+
+class Result(NamedTuple):
+    """A finished task.
+
+    Attributes:
+        entry: the object's name.
+        tags: the object's tags.
+        notes: quirks of its data.
+        label: the method's.
+        count: number of images asked for; None for all.
+        images: number of images used.
+        score: None where the truth is withheld or the method could not run.
+        unsupported: why the method could not run, empty where it did.
+        name: of the result in the store.
+    """
+
+    entry: str
+    tags: Mapping[str, str]
+    notes: Sequence[str]
+    label: str
+    count: int | None
+    images: int
+    score: Score | None
+    unsupported: str
+    name: str
+
+
+def check_data(benchmark: Benchmark) -> Iterator[str]:
+    """Reads every object's files through.
+
+    Yields:
+        Each entry's fingerprint.
+
+    Raises:
+        InputError: at the first file that cannot be used.
+    """
+    for index in range(len(benchmark)):
+        yield benchmark.check(index)
+
+
+def check_counts(benchmark: Benchmark, counts: Sequence[int | None]) -> None:
+    """Checks that every object has as many images as are asked for.
+
+    Raises:
+        InputError: naming the object that has fewer.
+    """
+    for count in counts:
+        if count is None:
+            continue
+        if count < 1:
+            raise InputError(f"--num-images: expected 1 or more, got {count}")
+        for entry in benchmark.entries:
+            if len(entry.images) < count:
+                raise InputError(
+                    f"--num-images {count}: {entry.name} has {len(entry.images)} images"
+                )
+
+
+def tasks_of(plan: Plan) -> list[Task]:
+    """All tasks, object by object."""
+    tasks = []
+    for index, entry in enumerate(plan.benchmark.entries):
+        for count in plan.counts:
+            chosen = _chosen(plan, index, count)
+            for variant in plan.variants:
+                fields = {
+                    **variant.key,
+                    "benchmark": plan.benchmark.name,
+                    "entry": entry.name,
+                    "data": plan.fingerprints[index],
+                    "protocol": plan.protocol.label,
+                    "crop_focal_ratio": plan.benchmark.crop_focal_ratio,
+                    "images": chosen.tolist(),
+                    "version": __version__,
+                }
+                number = "all" if count is None else str(count)
+                name = "/".join(
+                    (
+                        slug(plan.benchmark.name),
+                        slug(entry.name),
+                        f"{slug(variant.label)}-{number}-{result_key(fields)}",
+                    )
+                )
+                tasks.append(Task(index, variant, count, name, fields))
+    return tasks
+
+
+def _chosen(plan: Plan, index: int, count: int | None) -> np.ndarray:
+    total = len(plan.benchmark.entries[index].images)
+    return choose_images(total if count is None else count, total, seed=plan.seed)
+
+
+def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
+    """Finishes all tasks, here or in other processes that share the store.
+
+    Yields:
+        Each task when its result is there.
+    """
+    waiting = list(tasks)
+    while waiting:
+        left: list[Task] = []
+        item: Item | None = None
+        index = -1
+        for task in waiting:
+            with store.claim(task.name) as ours:
+                if ours and not store.done(task.name):
+                    if item is None or task.index != index:
+                        item, index = plan.benchmark[task.index], task.index
+                    _finish(plan, task, item, store)
+                finished = ours
+            if finished:
+                yield task
+            else:
+                left.append(task)
+        waiting = left
+        if waiting:
+            time.sleep(_POLL_S)
+
+
+def _finish(plan: Plan, task: Task, item: Item, store: Store) -> None:
+    chosen = _chosen(plan, task.index, task.count)
+    case = show(
+        item,
+        plan.protocol,
+        chosen,
+        crop_focal_ratio=plan.benchmark.crop_focal_ratio,
+    )
+    record: dict[str, Any] = {
+        "fields": task.fields,
+        "entry": item.name,
+        "tags": dict(item.tags),
+        "notes": list(item.notes),
+        "label": task.variant.label,
+        "count": task.count,
+        "images": [plan.benchmark.entries[task.index].images[i].name for i in chosen],
+        "score": None,
+        "unsupported": "",
+    }
+    try:
+        normals = estimate(task.variant, case)
+    except Unsupported as error:
+        record["unsupported"] = " ".join(str(error).split())
+        store.commit(task.name, record, None)
+        return
+    if case.normals is not None:
+        record["score"] = score(normals, case.normals, case.mask)._asdict()
+    store.commit(task.name, record, np.where(case.mask[..., None], normals, 0))
+
+
+def estimate(variant: Variant, case: Case) -> np.ndarray:
+    """Runs a method on a prepared object.
+
+    Returns:
+        `[h, w, 3]`, float32, as the method gives it.
+
+    Raises:
+        Unsupported: if the method lacks something.
+        ValueError: if what it gives has another shape.
+    """
+    normals = np.asarray(
+        variant.run(case.images, case.mask, lights=case.lights, focal=case.focal)
+    )
+    if normals.shape != (*case.mask.shape, 3):
+        raise ValueError(
+            f"method {variant.label!r}: expected normals of shape "
+            f"{(*case.mask.shape, 3)}, got {normals.shape}"
+        )
+    return normals.astype(np.float32)
+
+
+def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
+    """Reads the results of finished tasks, in their order."""
+    results = []
+    for task in tasks:
+        record = store.load(task.name)
+        results.append(
+            Result(
+                record["entry"],
+                record["tags"],
+                record["notes"],
+                record["label"],
+                record["count"],
+                len(record["images"]),
+                None if record["score"] is None else from_json(record["score"]),
+                record["unsupported"],
+                task.name,
+            )
+        )
+    return results

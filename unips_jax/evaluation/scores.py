@@ -1,0 +1,96 @@
+"""What is measured of an estimate, in numbers that can be summed over objects."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from unips_jax.metrics import angular_error_deg
+
+THRESHOLDS_DEG = (5.0, 11.25, 22.5, 30.0)
+VIEW_EDGES_DEG = (0, 15, 30, 45, 60, 75, 90)
+"""Bins of the angle between true normal and viewer; the last one takes all above."""
+
+
+class Score(NamedTuple):
+    """Errors of one estimate over the object's pixels, in degrees.
+
+    Attributes:
+        pixels: number of pixels compared.
+        mae: mean angular error.
+        median: median angular error.
+        within: percentages of pixels with errors below 5, 11.25, 22.5 and 30 degrees.
+        histogram: pixels per degree of error, 180 numbers.
+        view_pixels: pixels per bin of the angle between true normal and viewer.
+        view_sums: sums of errors in the same bins.
+        zero_truth: pixels whose true normal has zero length, counted as 90 degrees.
+        invalid: pixels where the estimate is not finite or zero, counted as 90.
+    """
+
+    pixels: int
+    mae: float
+    median: float
+    within: tuple[float, ...]
+    histogram: tuple[int, ...]
+    view_pixels: tuple[int, ...]
+    view_sums: tuple[float, ...]
+    zero_truth: int
+    invalid: int
+
+
+def error_map(estimate: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Angular errors in degrees; 90 where either vector is zero or not finite.
+
+    Args:
+        estimate: `[H, W, 3]`.
+        true: `[H, W, 3]`.
+
+    Returns:
+        `[H, W]`, in [0, 180].
+    """
+    finite = np.isfinite(estimate).all(axis=-1, keepdims=True)
+    return np.asarray(angular_error_deg(np.where(finite, estimate, 0), true))
+
+
+def score(estimate: np.ndarray, true: np.ndarray, mask: np.ndarray) -> Score:
+    """Compares an estimate with the truth.
+
+    Args:
+        estimate: `[H, W, 3]`, of any length.
+        true: `[H, W, 3]`.
+        mask: `[H, W]`, bool, not empty.
+    """
+    errors = error_map(estimate, true)[mask].astype(np.float64)
+    true = true[mask].astype(np.float64)
+    estimate = estimate[mask]
+    length = np.linalg.norm(true, axis=-1)
+    cosine = true[:, 2] / np.where(length > 0, length, 1)
+    view = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+    bins = np.clip(np.digitize(view, VIEW_EDGES_DEG) - 1, 0, len(VIEW_EDGES_DEG) - 2)
+    count = len(VIEW_EDGES_DEG) - 1
+    usable = np.isfinite(estimate).all(-1) & estimate.any(-1)
+    return Score(
+        pixels=len(errors),
+        mae=float(errors.mean()),
+        median=float(np.median(errors)),
+        within=tuple(float(100 * (errors < t).mean()) for t in THRESHOLDS_DEG),
+        histogram=_histogram(errors),
+        view_pixels=tuple(np.bincount(bins, minlength=count).tolist()),
+        view_sums=tuple(np.bincount(bins, errors, count).tolist()),
+        zero_truth=int((length == 0).sum()),
+        invalid=int((~usable).sum()),
+    )
+
+
+def from_json(values: dict[str, Any]) -> Score:
+    """Reads back what `Score._asdict` became in JSON."""
+    lists: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, Sequence) else value
+        for name, value in values.items()
+    }
+    return Score(**lists)
+
+
+def _histogram(errors: np.ndarray) -> tuple[int, ...]:
+    degrees = np.minimum(errors.astype(np.int64), 179)
+    return tuple(np.bincount(degrees, minlength=180).tolist())

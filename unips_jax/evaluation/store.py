@@ -1,0 +1,148 @@
+"""A folder of results that several processes may fill together.
+
+Each result is a JSON file, put in place in one step after its normal map; it exists
+whole or not at all. Work is claimed with `flock` on a file per result, which the
+operating system lets go when a process ends, however it ends. Temporary files carry
+fixed names and are only written under the claim, so a killed process leaves at most one
+that the next attempt overwrites.
+"""
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from unips_jax.command import InputError
+
+
+def result_key(fields: Mapping[str, Any]) -> str:
+    """A short hash of everything a result depends on.
+
+    Args:
+        fields: JSON values.
+    """
+    text = json.dumps(fields, sort_keys=True, default=repr)
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def slug(text: str) -> str:
+    """The text as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9.+=-]+", "_", text).strip("_") or "_"
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Puts a file in place whole. The caller holds the claim on it."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+class Store:
+    """The folder.
+
+    Attributes:
+        root: where everything is.
+    """
+
+    def __init__(self, root: str | os.PathLike[str]):
+        """Makes the folder.
+
+        Raises:
+            InputError: if it cannot be made or written to.
+        """
+        self.root = Path(root)
+        try:
+            for name in ("results", ".locks"):
+                (self.root / name).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{self.root}: cannot be the work folder ({error.strerror})"
+            ) from error
+        if not os.access(self.root / "results", os.W_OK):
+            raise InputError(f"{self.root}: cannot be written to")
+
+    @contextlib.contextmanager
+    def claim(self, name: str, *, wait: bool = False) -> Iterator[bool]:
+        """Claims a piece of work until the block ends.
+
+        Args:
+            name: of the work.
+            wait: until nobody else has it.
+
+        Yields:
+            Whether it is ours.
+        """
+        with (self.root / ".locks" / slug(name)).open("ab") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                yield False
+                return
+            yield True
+
+    def path(self, name: str) -> Path:
+        """Where a result's JSON lies."""
+        return self.root / "results" / f"{name}.json"
+
+    def done(self, name: str) -> bool:
+        """Whether the result is there."""
+        return self.path(name).is_file()
+
+    def load(self, name: str) -> dict[str, Any]:
+        """Reads a result.
+
+        Raises:
+            InputError: if someone else than this program changed it.
+        """
+        path = self.path(name)
+        try:
+            return json.loads(path.read_bytes())
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"{path}: not a result ({error}); delete it to have it computed again"
+            ) from error
+
+    def commit(
+        self, name: str, record: Mapping[str, Any], normals: np.ndarray | None
+    ) -> None:
+        """Puts a result in place. The caller has claimed it.
+
+        Args:
+            name: of the result.
+            record: JSON values.
+            normals: `[H, W, 3]`, unit or zero, kept as a 16-bit PNG, (n + 1) / 2.
+        """
+        path = self.path(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if normals is not None:
+            write_atomically(path.with_suffix(".png"), encode_normals(normals))
+        text = json.dumps(record, indent=1, sort_keys=True) + "\n"
+        write_atomically(path, text.encode())
+
+    def normals(self, name: str) -> np.ndarray:
+        """A result's normal map, `[H, W, 3]`, float32."""
+        data = np.frombuffer(self.path(name).with_suffix(".png").read_bytes(), np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)[..., ::-1]
+        return image.astype(np.float32) * np.float32(2 / 65535) - 1
+
+
+def encode_normals(normals: np.ndarray) -> bytes:
+    """A normal map as a 16-bit PNG, rounded; not finite becomes zero.
+
+    Args:
+        normals: `[H, W, 3]`.
+    """
+    values = np.nan_to_num(normals.astype(np.float64), nan=0, posinf=0, neginf=0)
+    stored = np.rint((np.clip(values, -1, 1) + 1) * (65535 / 2)).astype(np.uint16)
+    return cv2.imencode(".png", np.ascontiguousarray(stored[..., ::-1]))[1].tobytes()
