@@ -115,6 +115,43 @@ def low_rank(*, tolerance: float = 1e-6, growth: float = 1.2) -> Method:
     return _method("low_rank", solve, "luma")
 
 
+def check_lights(
+    name: str, lights: Lights | None, count: int, *, coplanar: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Checks known lights.
+
+    Args:
+        name: the method's name, for the messages.
+        lights: what the method was given.
+        count: number of images.
+        coplanar: accept directions that lie in one plane.
+
+    Returns:
+        Unit directions `[N, 3]` and intensities `[N, 3]`.
+
+    Raises:
+        Unsupported: if there are none, or they do not determine a normal.
+        ValueError: if the shapes do not fit.
+    """
+    if lights is None:
+        raise Unsupported(f"{name}: needs known lights, and none are given")
+    directions = np.asarray(lights.directions, np.float64)
+    intensities = np.asarray(lights.intensities, np.float32)
+    if directions.shape != (count, 3) or intensities.shape != (count, 3):
+        raise ValueError(
+            f"{name}: expected directions and intensities of shape ({count}, 3), got "
+            f"{directions.shape} and {intensities.shape}"
+        )
+    length = np.linalg.norm(directions, axis=-1, keepdims=True)
+    if not (length > 0).all() or not (intensities > 0).all():
+        raise Unsupported(f"{name}: a light has zero direction or no intensity")
+    directions = directions / length
+    singular = np.linalg.svd(directions, compute_uv=False)
+    if not coplanar and singular[-1] < 1e-3 * singular[0]:
+        raise Unsupported(f"{name}: the light directions lie in one plane")
+    return directions, intensities
+
+
 def split_low_rank(
     values: np.ndarray,
     *,
@@ -175,7 +212,7 @@ def _method(
     ) -> np.ndarray:
         del focal
         pixels, mask = object_pixels(images, mask, name=name)
-        directions, intensities = _check_lights(name, lights, len(images))
+        directions, intensities = check_lights(name, lights, len(images))
         pixels = pixels / intensities  # [P, N, 3]
         if colour == "strongest":
             each = np.stack([solve(pixels[..., c], directions) for c in range(3)])
@@ -187,28 +224,6 @@ def _method(
         )
 
     return method
-
-
-def _check_lights(
-    name: str, lights: Lights | None, count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    if lights is None:
-        raise Unsupported(f"{name}: needs known lights, and none are given")
-    directions = np.asarray(lights.directions, np.float64)
-    intensities = np.asarray(lights.intensities, np.float32)
-    if directions.shape != (count, 3) or intensities.shape != (count, 3):
-        raise ValueError(
-            f"{name}: expected directions and intensities of shape ({count}, 3), got "
-            f"{directions.shape} and {intensities.shape}"
-        )
-    length = np.linalg.norm(directions, axis=-1, keepdims=True)
-    if not (length > 0).all() or not (intensities > 0).all():
-        raise Unsupported(f"{name}: a light has zero direction or no intensity")
-    directions = directions / length
-    singular = np.linalg.svd(directions, compute_uv=False)
-    if singular[-1] < 1e-3 * singular[0]:
-        raise Unsupported(f"{name}: the light directions lie in one plane")
-    return directions, intensities
 
 
 def _least_squares(values: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -254,7 +269,7 @@ def _sparse_bayesian(values: Array, directions: Array, *, iterations: int) -> Ar
     values = values / jnp.maximum(jnp.max(jnp.abs(values)), 1e-30)
 
     def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        variance, _ = state
+        variance = state[0]
         vector = _solve_weighted(values, directions, 1 / variance, ridge=1e-6)
         gram = directions.T @ (directions / variance[:, None])
         covariance = _inverse(gram + jnp.eye(3))

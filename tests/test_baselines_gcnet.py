@@ -1,0 +1,351 @@
+"""GCNet, PS-FCN and LCNet against numbers from the authors' network classes.
+
+The weights are made here by the reference's recipe, from each array's name. The
+tolerances are the reference's: its own rounding is about 1e-5 on logits and normals,
+2e-6 on lights.
+"""
+
+import functools
+import zlib
+
+import jax
+import numpy as np
+import pytest
+
+from unips_jax.baselines import calibrated, gcnet, gcnet_lights, gcnet_weights
+from unips_jax.baselines import gcnet_model as model
+from unips_jax.baselines.method import Lights, Unsupported
+from unips_jax.command import InputError
+
+LOOSE = 1e-4  # logits, features and normals
+TIGHT = 1e-5  # lights
+
+
+def made_up(network, *, gain=2**0.5, out_gain=8.0):
+    """The authors' arrays, by the reference's recipe R2 (R1: both gains 1)."""
+    arrays = {}
+    for key, shape, *_ in gcnet_weights._entries(network):
+        rng = np.random.default_rng(zlib.crc32(key.encode()))
+        array = rng.standard_normal(shape)
+        if key.endswith("_step"):
+            array = np.arange(shape[0])
+        elif len(shape) == 1:
+            array *= 0.05
+        else:
+            array *= gain / np.sqrt(np.prod(shape[1:]))
+            array *= out_gain if key.endswith("_est.1.0.weight") else 1
+        arrays[key] = array.astype(np.float32)
+    return arrays
+
+
+@pytest.fixture(scope="module")
+def golden(shared_dir):
+    path = shared_dir / "golden" / "golden_gcnet.npz"
+    if not path.is_file():
+        pytest.skip(f"no reference arrays at {path}")
+    return np.load(path)
+
+
+@pytest.fixture(scope="module")
+def params():
+    return {
+        network: gcnet_weights.from_official(made_up(network))
+        for network in ("gcnet", "ps_fcn", "lcnet")
+    }
+
+
+def unpacked(golden, case):
+    """Images `[B, N, H, W, 3]` and mask `[B, H, W]`."""
+    stacked = golden[f"{case}_img"]
+    images = stacked.reshape(len(stacked), -1, 3, *stacked.shape[2:])
+    return images.transpose(0, 1, 3, 4, 2), golden[f"{case}_mask"][:, 0]
+
+
+def channels_last(array):
+    return np.moveaxis(array, -3, -1)
+
+
+def resized(images, mask):
+    return jax.vmap(gcnet._resized)(images, mask)
+
+
+def run(params, images, mask):
+    return jax.jit(model.gcnet_of(params).apply)({"params": params}, images, mask)
+
+
+def assert_close(found, expected, tolerance, name):
+    print(f"{name}: {np.abs(np.asarray(found) - expected).max():.1e}", end="  ")
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
+
+
+def assert_stages_match(stages, golden, case):
+    for net, logits in (("L1", stages.first), ("L2", stages.second)):
+        directions, intensities = gcnet_lights.soft_lights(logits)
+        features = channels_last(golden[f"{case}_{net}_feat"])
+        assert_close(logits.features, features, LOOSE, f"{case}_{net}_feat")
+        for name, found, tolerance in (
+            ("logit_x", logits.azimuth, LOOSE),
+            ("logit_y", logits.elevation, LOOSE),
+            ("logit_i", logits.intensity, LOOSE),
+            ("dirs", directions, TIGHT),
+            ("intens", np.repeat(intensities, 3, axis=-1), TIGHT),
+        ):
+            name = f"{case}_{net}_{name}"
+            assert_close(found, golden[name], tolerance, name)
+    normals = channels_last(golden[f"{case}_N_normal"])
+    assert_close(stages.normals, normals, LOOSE, f"{case}_N_normal")
+    assert_close(stages.shading, golden[f"{case}_N_shading"], LOOSE, "shading")
+
+
+def test_recipe_makes_the_reference_weights():
+    """The reference's spot checks: the recipe, the names and the shapes."""
+    arrays = made_up("gcnet")
+    for key, expected in {
+        "L_Net1.featExtractor.conv1.0.weight": (-0.05621824, 0.15166913, -0.056442227),
+        "N_Net.extractor.conv6.0.weight": (-0.01578025, -0.027567403, 0.013512287),
+        "L_Net2.classifier.int_est.1.0.bias": (0.010885361, -0.10919072, 0.050176188),
+    }.items():
+        np.testing.assert_allclose(arrays[key].ravel()[:3], expected, rtol=1e-6)
+
+
+def test_case_a(golden):
+    arrays = made_up("gcnet", gain=1.0, out_gain=1.0)
+    params = gcnet_weights.from_official(arrays)
+    assert_stages_match(run(params, *unpacked(golden, "a")), golden, "a")
+
+
+def test_case_b_resizes_and_ends_in_native_normals(golden, params):
+    images, mask = unpacked(golden, "b")
+    stages = run(params["gcnet"], *resized(images, mask))
+    assert_stages_match(stages, golden, "b")
+    directions, intensities = gcnet_lights.soft_lights(stages.second)
+    expected = channels_last(golden["b_final_normal"])
+    for b in range(2):
+        found = gcnet._normals(
+            params["ps_fcn"], images[b], directions[b], intensities[b], 2
+        )
+        assert_close(found, expected[b], LOOSE, "b_final_normal")
+
+
+def test_case_c_ps_fcn_alone(golden, params):
+    images, _ = unpacked(golden, "e")
+    x = model.with_lights(images, golden["c_dirs"][None], golden["c_ints"][None])
+    found = jax.jit(model.NormalNet().apply)({"params": params["ps_fcn"]}, x)
+    assert_close(found, channels_last(golden["c_normal"]), LOOSE, "c_normal")
+
+
+def test_case_d_lcnet(golden, params):
+    images, mask = unpacked(golden, "a")
+    masks = np.broadcast_to(mask[:, None, ..., None], (*images.shape[:-1], 1))
+    net = model.light_net_of(params["lcnet"])
+    x = np.concatenate([images, masks], axis=-1)
+    logits = jax.jit(net.apply)({"params": params["lcnet"]}, x)
+    for found, name in zip(logits, ("dirs_x", "dirs_y", "ints"), strict=False):
+        assert_close(found, golden[f"d_{name}"], LOOSE, f"d_{name}")
+    directions, intensities = gcnet_lights.hard_lights(logits)
+    assert_close(directions, golden["d_dirs"], TIGHT, "d_dirs")
+    found = np.repeat(intensities, 3, axis=-1)
+    assert_close(found, golden["d_intens"], TIGHT, "d_intens")
+
+
+def test_case_e_every_stage(golden, params):
+    images, mask = unpacked(golden, "e")
+    stages = run(params["gcnet"], images, mask)
+    assert_stages_match(stages, golden, "e")
+    x = model.with_lights(images, *gcnet_lights.soft_lights(stages.first))
+    coarse = params["gcnet"]["coarse"]
+    extract = functools.partial(model.normal_net_of(coarse).apply, method="extract")
+    features = jax.jit(extract)({"params": coarse}, x).max(1)
+    expected = channels_last(golden["e_N_fused_feat"])
+    assert_close(features, expected, LOOSE, "e_N_fused_feat")
+
+
+def test_case_f_classes(golden):
+    """Values on a class's edge may fall to either side."""
+    azimuth, elevation, _ = gcnet_lights.encode(golden["f_dirs"], np.ones(70))
+    intensity = gcnet_lights.encode(np.array([0.0, 0, 1]), golden["f_ints"])[2]
+    for found, name in ((azimuth, "x"), (elevation, "y"), (intensity, "i")):
+        off = np.abs(np.asarray(found) - golden[f"f_cls_{name}"])
+        assert off.max() <= 1
+        assert (off == 0).mean() > 0.9
+    directions, _ = gcnet_lights.decode(golden["f_cls_x"], golden["f_cls_y"], 0)
+    assert_close(directions, golden["f_dirs_back"], TIGHT, "f_dirs_back")
+    _, back = gcnet_lights.decode(0, 0, golden["f_cls_i"])
+    assert_close(back[:, 0], golden["f_ints_back"], TIGHT, "f_ints_back")
+
+
+def test_counts_of_parameters(params):
+    def count(tree):
+        return sum(leaf.size for leaf in jax.tree.leaves(tree))
+
+    assert count(params["gcnet"]["light_1"]) == 1_784_252
+    assert count(params["gcnet"]["light_2"]) == 1_785_404
+    assert count(params["gcnet"]["coarse"]) == 1_083_152
+    assert count(params["gcnet"]) == 4_652_808
+    assert count(params["ps_fcn"]) == 2_210_048
+    assert count(params["lcnet"]) == 4_409_692
+
+
+def test_converter_reports_everything_at_once():
+    arrays = made_up("gcnet")
+    assert len(arrays) == 91
+    del arrays["L_Net1.featExtractor.conv1.0.bias"]
+    del arrays["N_Net.regressor.est_normal.0.weight"]
+    arrays["L_Net1.surprise"] = np.zeros(3, np.float32)
+    arrays["L_Net2.featExtractor.conv1.0.weight"] = np.zeros((32, 4, 3, 3), np.float32)
+    with pytest.raises(InputError, match="gcnet: 4 problems") as error:
+        gcnet_weights.from_official(arrays)
+    for part in (
+        "missing L_Net1.featExtractor.conv1.0.bias",
+        "missing N_Net.regressor.est_normal.0.weight",
+        "unexpected L_Net1.surprise",
+        r"L_Net2.featExtractor.conv1.0.weight: expected shape (32, 8, 3, 3), got "
+        "(32, 4, 3, 3)",
+    ):
+        assert part in str(error.value)
+    with pytest.raises(InputError, match="not the arrays of GCNet"):
+        gcnet_weights.from_official({"weight": np.zeros(3)})
+
+
+def test_converter_tells_networks_apart_and_strips_a_prefix():
+    for network, count in (("gcnet", 91), ("ps_fcn", 19), ("lcnet", 34)):
+        arrays = {f"module.{k}": v for k, v in made_up(network).items()}
+        assert len(arrays) == count
+        assert gcnet_weights.identify(arrays) == network
+        found = gcnet_weights.from_official(arrays)
+        plain = gcnet_weights.from_official(made_up(network), network)
+        jax.tree.map(np.testing.assert_array_equal, found, plain)
+
+
+def test_files_return_what_was_saved(tmp_path, params):
+    path = tmp_path / "lcnet.safetensors"
+    gcnet_weights.save_params(path, params["lcnet"], "lcnet")
+    found, network = gcnet_weights.load_params(path)
+    assert network == "lcnet"
+    jax.tree.map(np.testing.assert_array_equal, found, params["lcnet"])
+    with pytest.raises(InputError, match="cannot read the weights"):
+        gcnet_weights.load_params(tmp_path / "absent.safetensors")
+    path.write_bytes(b"not weights")
+    with pytest.raises(InputError, match="cannot read the weights"):
+        gcnet_weights.load_params(path)
+
+
+def sphere(size=48, count=5):
+    rows, columns = np.mgrid[:size, :size]
+    x = (columns + 0.5) / size * 2.4 - 1.2
+    y = 1.2 - (rows + 0.5) / size * 2.4
+    mask = x**2 + y**2 < 1
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    normals = np.stack([x, y, z], axis=-1) * mask[..., None]
+    azimuth = np.arange(count) * 2.4
+    directions = np.stack(
+        [0.5 * np.cos(azimuth), 0.5 * np.sin(azimuth), np.full(count, 0.75**0.5)],
+        axis=-1,
+    )
+    shading = np.einsum("hwc,nc->nhw", normals, directions).clip(0)
+    gain = np.linspace(0.5, 1.5, count)[:, None, None, None]
+    images = shading[..., None] * gain * np.array([1.0, 0.8, 0.6])
+    return images.astype(np.float32), mask, directions
+
+
+@pytest.mark.parametrize("network", ["gcnet", "lcnet"])
+def test_order_of_images_does_not_matter(params, network):
+    images, mask, _ = sphere()
+    order = np.array([3, 0, 4, 2, 1])
+    one = gcnet.estimate_lights(params[network], images, mask)
+    other = gcnet.estimate_lights(params[network], images[order], mask)
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a[order], b, rtol=1e-5, atol=1e-5)
+    make = {"gcnet": gcnet.gcnet, "lcnet": gcnet.lcnet}[network]
+    method = make(params[network], normals=gcnet.ps_fcn(params["ps_fcn"]))
+    first, second = method(images, mask), method(images[order], mask)
+    np.testing.assert_allclose(first, second, atol=2e-5)
+    np.testing.assert_allclose(np.linalg.norm(first[mask], axis=-1), 1, atol=1e-5)
+    assert (first[~mask] == 0).all()
+
+
+def test_chunks_of_images_do_not_matter(params):
+    images, mask, directions = sphere(46)  # sides are padded to a multiple of 4
+    lights = Lights(directions, np.ones((5, 3)))
+    whole = gcnet.ps_fcn(params["ps_fcn"], chunk=8)(images, mask, lights=lights)
+    parts = gcnet.ps_fcn(params["ps_fcn"], chunk=2)(images, mask, lights=lights)
+    np.testing.assert_allclose(parts, whole, atol=1e-5)
+
+
+def test_normalisations():
+    images, mask, _ = sphere()
+    for norm, peak in (("range01", 0.1), ("literal10", 10.0)):
+        scaled, gain = gcnet.normalise(images, mask, norm=norm, per="image")
+        np.testing.assert_allclose(scaled.max(axis=(1, 2, 3)), peak, rtol=1e-6)
+        np.testing.assert_allclose(
+            scaled / gain[:, None, None, None], images, rtol=1e-5
+        )
+        scaled, gain = gcnet.normalise(images, mask, norm=norm, per="stack")
+        assert scaled.max() == pytest.approx(peak)
+        assert np.ptp(gain) == 0
+    scaled, gain = gcnet.normalise(images, mask, norm="none", per="image")
+    np.testing.assert_array_equal(scaled, images)
+    with pytest.raises(ValueError, match="expected norm"):
+        gcnet.normalise(images, mask, norm="max", per="image")
+
+
+def test_intensities_refer_to_the_given_images(params):
+    """Per image, exposures vanish for the network and come back in its answer."""
+    images, mask, _ = sphere()
+    one = gcnet.estimate_lights(params["gcnet"], images, mask)
+    gain = np.array([1.0, 2.0, 0.5, 4.0, 3.0], np.float32)
+    other = gcnet.estimate_lights(
+        params["gcnet"], images * gain[:, None, None, None], mask
+    )
+    np.testing.assert_allclose(other.directions, one.directions, atol=1e-5)
+    np.testing.assert_allclose(
+        other.intensities, one.intensities * gain[:, None], rtol=1e-4
+    )
+
+
+def test_lights_feed_any_calibrated_method(params):
+    images, mask, _ = sphere()
+    found = gcnet.estimate_lights(params["gcnet"], images, mask)
+    expected = calibrated.woodham()(images, mask, lights=found)
+    method = gcnet.gcnet(params["gcnet"], normals=calibrated.woodham())
+    np.testing.assert_allclose(method(images, mask), expected, atol=1e-6)
+
+
+def test_small_networks_of_the_same_design_work():
+    net = model.GCNet(
+        model.LightNet(widths=(8, 8, 8, 8, 8, 8, 16), classifier=8, hidden=8),
+        model.NormalNet(widths=(4, 4, 8, 8, 8, 8, 8), regressor_widths=(8, 8, 4)),
+    )
+    images, mask, _ = sphere()
+    inputs = np.zeros((1, 2, 64, 64, 3), np.float32), np.zeros((1, 64, 64), np.float32)
+    shapes = jax.eval_shape(net.init, jax.random.key(0), *inputs)["params"]
+    rng = np.random.default_rng(0)
+    params = jax.tree.map(
+        lambda leaf: (0.1 * rng.standard_normal(leaf.shape)).astype(np.float32), shapes
+    )
+    lights = gcnet.estimate_lights(params, images, mask)
+    assert lights.directions.shape == lights.intensities.shape == (5, 3)
+    assert (lights.directions[:, 2] > 0).all()
+
+
+def test_refusals(tmp_path, params):
+    images, mask, directions = sphere()
+    lights = Lights(directions, np.ones((5, 3)))
+    with pytest.raises(Unsupported, match="GCNet.pth"):
+        gcnet.gcnet()(images, mask)
+    with pytest.raises(Unsupported, match="LCNet_CVPR2019.pth"):
+        gcnet.lcnet()(images, mask)
+    with pytest.raises(Unsupported, match="PS-FCN_B_S_32.pth"):
+        gcnet.ps_fcn()(images, mask, lights=lights)
+    with pytest.raises(Unsupported, match="calibrated method"):
+        gcnet.gcnet(params["gcnet"])(images, mask)
+    with pytest.raises(Unsupported, match="needs known lights"):
+        gcnet.ps_fcn(params["ps_fcn"])(images, mask)
+    with pytest.raises(Unsupported, match="at least 2 images"):
+        gcnet.estimate_lights(params["gcnet"], images[:1], mask)
+    with pytest.raises(Unsupported, match="mask of the object"):
+        gcnet.estimate_lights(params["gcnet"], images, mask & False)
+    path = tmp_path / "lcnet.safetensors"
+    gcnet_weights.save_params(path, params["lcnet"], "lcnet")
+    with pytest.raises(Unsupported, match="holds the weights of lcnet"):
+        gcnet.gcnet(path, normals=calibrated.woodham())(images, mask)
