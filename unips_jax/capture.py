@@ -1,0 +1,112 @@
+"""Warns about photographs from which no method can tell the shape.
+
+Looks at up to about 20,000 pixels inside the mask, so it costs little. The thresholds
+are rules of thumb; a warning never stops anything.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+_SAMPLES = 20_000
+_FEW_IMAGES = 4
+_SMALL_MASK = 2_000
+_SATURATED_SHARE = 0.05
+_DARK_LEVELS = 32
+_SAME_LIGHT = 0.05
+_SAME_IMAGE = 0.01
+
+
+def capture_warnings(
+    images: np.ndarray, mask: np.ndarray, names: Sequence[str]
+) -> list[str]:
+    """Lists what is wrong with a capture, one line each; empty if nothing is.
+
+    Args:
+        images: `[N, H, W, 3]`, uint8, uint16 or float32, not black inside the mask.
+        mask: `[H, W]`, bool, with at least one pixel.
+        names: the N file names.
+    """
+    inside = int(mask.sum())
+    step = max(1, int((inside / _SAMPLES) ** 0.5))
+    if not mask[::step, ::step].any():
+        step = 1
+    samples = images[:, ::step, ::step][:, mask[::step, ::step]]  # [N, P, 3]
+    return [
+        *_count_warnings(len(images), inside),
+        *_exposure_warnings(samples, names),
+        *_light_warnings(samples, names),
+    ]
+
+
+def _count_warnings(count: int, inside: int) -> list[str]:
+    lines = []
+    if count < _FEW_IMAGES:
+        lines.append(
+            f"too few photographs: {count}; take 8 or more, each under another light "
+            "(4 still give a rough shape)"
+        )
+    if inside < _SMALL_MASK:
+        lines.append(
+            f"tiny mask: {inside} pixels are inside; the object should fill the frame"
+        )
+    return lines
+
+
+def _exposure_warnings(samples: np.ndarray, names: Sequence[str]) -> list[str]:
+    if samples.dtype == np.float32:
+        return []  # no largest value, no levels
+    full = np.iinfo(samples.dtype).max
+    brightest = samples.max(axis=-1)  # [N, P]
+    clipped = (brightest >= full).mean(axis=-1)
+    reach = np.percentile(brightest, 99, axis=-1)
+    lines = []
+    bright = [
+        f"{name} {share:.0%}"
+        for name, share in zip(names, clipped, strict=True)
+        if share > _SATURATED_SHARE
+    ]
+    if bright:
+        lines.append(
+            f"saturated: {_some(bright)} of the object at the largest value; "
+            "expose less"
+        )
+    dark = [
+        f"{name} {level:.0f}"
+        for name, level in zip(names, reach, strict=True)
+        if level < _DARK_LEVELS
+    ]
+    if dark:
+        lines.append(
+            f"underexposed: the brightest of the object reach only level {_some(dark)} "
+            f"of {full}; expose more"
+        )
+    return lines
+
+
+def _light_warnings(samples: np.ndarray, names: Sequence[str]) -> list[str]:
+    """Compares the images' shading, each divided by its mean."""
+    if len(samples) < 2:
+        return []
+    scaled = samples.astype(np.float32)
+    scaled /= np.maximum(scaled.mean(axis=(1, 2), keepdims=True), 1e-12)
+    same = []
+    largest = 0.0
+    for i in range(1, len(scaled)):
+        distances = np.abs(scaled[:i] - scaled[i]).mean(axis=(1, 2))
+        largest = max(largest, float(distances.max()))
+        if distances.min() < _SAME_IMAGE:
+            same.append(f"{names[int(distances.argmin())]} = {names[i]}")
+    if largest < _SAME_LIGHT:
+        return [
+            f"nearly identical photographs: shading differs by {largest:.1%} at most; "
+            "move the light between shots"
+        ]
+    if same:
+        return [f"nearly identical photographs: {_some(same)}; they add nothing"]
+    return []
+
+
+def _some(items: list[str], limit: int = 4) -> str:
+    more = f" and {len(items) - limit} more" if len(items) > limit else ""
+    return ", ".join(items[:limit]) + more
