@@ -8,11 +8,11 @@ The EXIF orientation is applied, for photographs and masks alike, so that pixels
 where every viewer shows them: a mask drawn over the displayed photograph fits.
 
 A damaged file is never read as a picture with a grey rest: decoders that only
-complain (on file descriptors 1 and 2, which are kept quiet here) are taken at their
-word, and JPEG and PNG must have their end markers.
+complain (on standard error, which is kept quiet here) are taken at their word, and JPEG and PNG must have their end markers.
 """
 
 import contextlib
+import io
 import os
 import re
 import struct
@@ -146,22 +146,21 @@ def _decode_exr(path: Path) -> np.ndarray | None:
 
 @contextlib.contextmanager
 def _quiet_decoders() -> Iterator[list[str]]:
-    """Collects the lines that C libraries write to standard output and error."""
+    """Collects what decoders print: C libraries to descriptor 2, OpenEXR to Python."""
     lines: list[str] = []
-    sys.stdout.flush()
     sys.stderr.flush()
-    saved = [os.dup(1), os.dup(2)]
-    with tempfile.TemporaryFile() as sink:
+    saved = os.dup(2)
+    printed = io.StringIO()
+    with tempfile.TemporaryFile() as sink, contextlib.redirect_stdout(printed):
+        os.dup2(sink.fileno(), 2)
         try:
-            for descriptor in (1, 2):
-                os.dup2(sink.fileno(), descriptor)
             yield lines
         finally:
-            for descriptor, original in zip((1, 2), saved, strict=True):
-                os.dup2(original, descriptor)
-                os.close(original)
+            os.dup2(saved, 2)
+            os.close(saved)
             sink.seek(0)
             lines += sink.read().decode(errors="replace").splitlines()
+            lines += printed.getvalue().splitlines()
 
 
 def _complaint(lines: list[str]) -> str:

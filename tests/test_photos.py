@@ -1,0 +1,280 @@
+"""Reading photographs: formats, choice of files, masks, and bad files."""
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+
+from unips_jax.command import InputError
+from unips_jax.image_files import SUFFIXES, exif_orientation, read_image
+from unips_jax.photos import is_map, read_mask, read_photographs, select
+
+HEIGHT, WIDTH = 23, 37
+
+
+def smooth(dtype, seed=0, height=HEIGHT, width=WIDTH):
+    """A smooth random RGB picture that uses most of the type's range."""
+    coarse = np.random.default_rng(seed).random((4, 5, 3)).astype(np.float32)
+    picture = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+    if dtype == np.float32:
+        return picture * 3
+    return (picture * np.iinfo(dtype).max).astype(dtype)
+
+
+def save(path: Path, rgb: np.ndarray):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() == ".exr":
+        planes = {"RGB": np.ascontiguousarray(rgb)}
+        if rgb.ndim == 2:
+            planes = {"Y": np.ascontiguousarray(rgb)}
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(path))
+    else:
+        bgr = rgb if rgb.ndim == 2 else rgb[..., [2, 1, 0, 3][: rgb.shape[-1]]]
+        best = {
+            ".webp": [cv2.IMWRITE_WEBP_QUALITY, 101],
+            ".jpg": [
+                *(cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR),
+                cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+            ],
+        }
+        _, data = cv2.imencode(path.suffix, bgr, best.get(path.suffix.lower(), []))
+        path.write_bytes(data.tobytes())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype", "tolerance"),
+    [
+        (".png", np.uint8, 0),
+        (".PNG", np.uint16, 0),
+        (".tif", np.uint8, 0),
+        (".TIFF", np.uint16, 0),
+        (".tif", np.float32, 0),
+        (".bmp", np.uint8, 0),
+        (".webp", np.uint8, 0),  # lossless
+        (".JPG", np.uint8, 4),  # quality 100, colours not subsampled
+        (".exr", np.float32, 0),
+        (".hdr", np.float32, 0.02),  # 8-bit mantissa, shared exponent: 3 / 256 steps
+    ],
+)
+def test_formats_keep_type_values_and_order(tmp_path, suffix, dtype, tolerance):
+    picture = smooth(dtype)
+    read = read_image(save(tmp_path / f"a{suffix}", picture))
+    assert suffix.lower() in SUFFIXES
+    assert read.dtype == dtype
+    assert read.shape == (HEIGHT, WIDTH, 3)
+    assert np.abs(read.astype(np.float64) - picture).max() <= tolerance
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg", ".webp", ".exr"])
+def test_red_is_first(tmp_path, suffix):
+    dtype = np.float32 if suffix == ".exr" else np.uint8
+    red = np.zeros((16, 16, 3), dtype)
+    red[..., 0] = 200
+    colour = read_image(save(tmp_path / f"red{suffix}", red)).mean(axis=(0, 1))
+    np.testing.assert_allclose(colour, [200, 0, 0], atol=2)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_gray_is_replicated_and_alpha_dropped(tmp_path, dtype):
+    picture = smooth(dtype)
+    save(tmp_path / "a.png", picture[..., 0])
+    save(tmp_path / "b.png", np.dstack([picture, picture[..., :1] // 2]))
+    images, mask = read_photographs(select(tmp_path))
+    np.testing.assert_array_equal(images[0], np.repeat(picture[..., :1], 3, axis=-1))
+    np.testing.assert_array_equal(images[1], picture)
+    assert mask.all() and mask.shape == (HEIGHT, WIDTH)
+
+
+def test_exr_layers_half_and_luminance(tmp_path):
+    picture = smooth(np.float32)
+    half = picture.astype(np.float16)
+    planes = {f"View.Combined.{c}": half[..., i].copy() for i, c in enumerate("RGB")}
+    planes["View.Depth.Z"] = picture[..., 0].copy()
+    path = tmp_path / "layers.exr"
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(path))
+    np.testing.assert_array_equal(read_image(path), half.astype(np.float32))
+    gray = read_image(save(tmp_path / "gray.exr", picture[..., 1]))
+    np.testing.assert_array_equal(gray[..., 0], picture[..., 1])
+    only_depth = {"Z": picture[..., 0].copy()}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, only_depth).write(str(path))
+    with pytest.raises(InputError, match=r"layers\.exr: expected the channels.*got Z"):
+        read_image(path)
+
+
+def with_orientation(jpeg: bytes, orientation: int) -> bytes:
+    tiff = struct.pack("<2sHIHHHII", b"II", 42, 8, 1, 0x0112, 3, 1, orientation)
+    body = b"Exif\0\0" + tiff + b"\0\0\0\0"
+    segment = b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
+    return jpeg[:2] + segment + jpeg[2:]
+
+
+def test_exif_orientation_is_applied_as_viewers_do(tmp_path):
+    upright = smooth(np.uint8)
+    path = save(tmp_path / "a.jpg", np.ascontiguousarray(np.rot90(upright)))
+    path.write_bytes(with_orientation(path.read_bytes(), 6))  # turn clockwise to view
+    assert exif_orientation(path) == 6
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[3:9, 4:30] = 255
+    save(tmp_path / "mask.png", mask)  # drawn over the picture as shown
+    images, read = read_photographs(select(tmp_path))
+    assert np.abs(images[0].astype(int) - upright).max() <= 4
+    np.testing.assert_array_equal(read, mask > 0)
+
+
+def test_differing_orientations_are_refused(tmp_path):
+    for name, orientation in (("a.jpg", 1), ("b.jpg", 3)):
+        path = save(tmp_path / name, smooth(np.uint8))
+        path.write_bytes(with_orientation(path.read_bytes(), orientation))
+    with pytest.raises(InputError, match=r"b\.jpg: expected EXIF orientation 1.*got 3"):
+        read_photographs(select(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(
+            "normal.tif",
+            "normals.png",
+            "Normal_gt.png",
+            "NORMAL01.PNG",
+            "obj_normal.png",
+        ),
+        *("mask.png", "mask_02.png", "objMask.tif", "depth.exr", "Depth0001.exr"),
+        *("baseColor.tif", "base_color.png", "BaseColour.png", "roughness.tif"),
+        *("metal.tif", "metallic.png", "albedo.png", "ball_albedo.png"),
+        *("ball_gt.png", "ballGT.png", "gt.png", "gt_normal.tif", "sheet.png"),
+    ],
+)
+def test_maps_and_outputs_are_recognised(name):
+    assert is_map(name)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("001.png", "L_1.png", "IMG_20240101.JPG", "length_01.png", "abnormal.jpg"),
+        *("light3.png", "unmasked.png", "sheets_1.png", "strength.tif", "DSC0001.tif"),
+    ],
+)
+def test_photographs_are_not_taken_for_maps(name):
+    assert not is_map(name)
+
+
+def touch(folder: Path, *names: str):
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        (folder / name).write_bytes(b"x")
+
+
+def test_plain_folder_lists_what_is_left_out(tmp_path):
+    touch(tmp_path, "b.PNG", "a.jpg", ".hidden.png", "normal.tif", "notes.txt")
+    touch(tmp_path, "mask.TIF", "c.heic", "depth.exr")
+    (tmp_path / "sub.png").mkdir()
+    selection = select(tmp_path)
+    assert selection.names == ("a.jpg", "b.PNG")
+    assert selection.mask_file == tmp_path / "mask.TIF"
+    assert selection.left_out == {
+        "a map or output, by its name": ["depth.exr", "normal.tif"],
+        "not an image": ["notes.txt"],
+        ".heic is not read: export PNG or TIFF": ["c.heic"],
+    }
+
+
+def test_data_folders(tmp_path):
+    test, train, other = (tmp_path / f"{n}.data" for n in ("test", "train", "other"))
+    touch(test, "L_1.png", "L_2.png", "0.png", "view.png", "mask.png")
+    touch(train, "000.tif", "001.tif", "normal.tif", "baseColor.tif", "x.png")
+    touch(other, "a.png", "b.png")
+    assert select(test).names == ("L_1.png", "L_2.png")
+    assert select(test).left_out == {
+        "not named L* in a .data folder": ["0.png", "view.png"]
+    }
+    assert select(train).names == ("000.tif", "001.tif")
+    assert select(other).names == ("a.png", "b.png")
+
+
+def test_given_mask_is_no_photograph(tmp_path):
+    touch(tmp_path, "a.png", "shape.png", "mask.png")
+    selection = select(tmp_path, mask_file=tmp_path / "shape.png")
+    assert selection.names == ("a.png",)
+    assert selection.left_out == {"a map or output, by its name": ["mask.png"]}
+
+
+def test_drawn_images_depend_on_the_seed_only(tmp_path):
+    touch(tmp_path, *(f"{i:02}.png" for i in range(20)))
+    first, again, other = (select(tmp_path, max_images=5, seed=s) for s in (3, 3, 4))
+    assert first == again
+    assert len(first.names) == 5 and list(first.names) == sorted(first.names)
+    assert first.names != other.names
+    assert len(first.left_out["not among the 5 drawn with seed 3"]) == 15
+    assert select(tmp_path, max_images=20).left_out == {}
+
+
+def test_mask_is_the_first_channel_above_zero(tmp_path):
+    mask = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    mask[2:5, 3:9, 0] = 1
+    mask[8:, :, 1:] = 255
+    read = read_mask(save(tmp_path / "mask.png", mask))
+    assert read.dtype == bool
+    np.testing.assert_array_equal(read, mask[..., 0] > 0)
+
+
+def test_negative_floats_become_zero(tmp_path):
+    picture = smooth(np.float32)
+    picture[2, 3] = -0.1
+    read = read_image(save(tmp_path / "a.exr", picture))
+    np.testing.assert_array_equal(read, np.maximum(picture, 0))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [
+        *((".png", np.uint8), (".png", np.uint16), (".jpg", np.uint8)),
+        *((".tif", np.uint8), (".tif", np.uint16), (".tif", np.float32)),
+        *((".webp", np.uint8), (".exr", np.float32), (".hdr", np.float32)),
+        (".bmp", np.uint8),
+    ],
+)
+def test_truncated_files_are_one_quiet_error(tmp_path, capfd, suffix, dtype):
+    path = save(tmp_path / f"a{suffix}", smooth(dtype, height=64, width=80))
+    data = path.read_bytes()
+    for length in (3, len(data) // 3, len(data) * 4 // 5, len(data) - 3):
+        path.write_bytes(data[:length])
+        with pytest.raises(
+            InputError, match="expected a readable image, got a damaged"
+        ):
+            read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_damage_that_a_decoder_only_mentions(tmp_path, capfd):
+    path = save(tmp_path / "a.tif", smooth(np.uint8, height=64, width=80))
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 3
+    data[middle : middle + 400] = b"\xa5" * 400
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"a\.tif: .*the decoder says: "):
+        read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_jpeg_thumbnail_does_not_hide_truncation(tmp_path):
+    path = save(tmp_path / "a.jpg", smooth(np.uint8))
+    data = path.read_bytes()
+    thumbnail = b"thumbnail \xff\xd8\xff\xd9"
+    segment = b"\xff\xe2" + struct.pack(">H", len(thumbnail) + 2) + thumbnail
+    path.write_bytes(data[:2] + segment + data[2:] + b"trailer")
+    assert read_image(path).shape == (HEIGHT, WIDTH, 3)
+    path.write_bytes(data[:2] + segment + data[2:-40])
+    with pytest.raises(InputError, match="truncated"):
+        read_image(path)
+
+
+def test_other_pixel_types_are_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.tif"), smooth(np.uint8).astype(np.int16))
+    with pytest.raises(InputError, match="expected 8-bit, 16-bit or float.*int16"):
+        read_image(tmp_path / "a.tif")
