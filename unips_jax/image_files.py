@@ -8,7 +8,8 @@ The EXIF orientation is applied, for photographs and masks alike, so that pixels
 where every viewer shows them: a mask drawn over the displayed photograph fits.
 
 A damaged file is never read as a picture with a grey rest: decoders that only
-complain (on standard error, which is kept quiet here) are taken at their word, and JPEG and PNG must have their end markers.
+complain (on standard error, which is kept quiet here) are taken at their word, and
+JPEG and PNG must have their end markers.
 """
 
 import contextlib

@@ -1,0 +1,68 @@
+"""Warnings about poor captures."""
+
+import numpy as np
+import pytest
+
+from unips_jax.capture import capture_warnings
+
+
+def sphere_images(count=8, dtype=np.uint8, size=96):
+    """A matte sphere under lights all around, well exposed; and its mask."""
+    axis = np.linspace(-1.1, 1.1, size)
+    x, y = np.meshgrid(axis, -axis)
+    z2 = 1 - x**2 - y**2
+    mask = z2 > 0
+    normals = np.stack([x, y, np.sqrt(np.maximum(z2, 0))], axis=-1)
+    angles = np.arange(count) * 2 * np.pi / count
+    lights = np.stack([np.cos(angles), np.sin(angles), np.ones(count)], axis=-1)
+    shading = np.maximum(np.einsum("hwc,nc->nhw", normals, lights / 2**0.5), 0)
+    images = np.repeat(0.9 * shading[..., None], 3, axis=-1) * mask[..., None]
+    if dtype != np.float32:
+        images = images * np.iinfo(dtype).max
+    return images.astype(dtype), mask, [f"{i}.png" for i in range(count)]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_good_captures_pass(dtype):
+    assert capture_warnings(*sphere_images(dtype=dtype)) == []
+
+
+def test_too_few_images():
+    (line,) = capture_warnings(*sphere_images(3))
+    assert line.startswith("too few photographs: 3;")
+
+
+def test_tiny_mask():
+    images, mask, names = sphere_images(size=30)
+    (line,) = capture_warnings(images, mask, names)
+    assert line.startswith(f"tiny mask: {mask.sum()} pixels")
+
+
+def test_identical_images_are_named():
+    images, mask, names = sphere_images()
+    images[5] = images[2] // 2  # the same light, half as bright
+    (line,) = capture_warnings(images, mask, names)
+    assert line.startswith("nearly identical photographs: 2.png = 5.png;")
+    images[:] = images[:1]
+    (line,) = capture_warnings(images, mask, names)
+    assert line.startswith("nearly identical photographs: shading differs by 0.0% at")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_exposure(dtype):
+    images, mask, names = sphere_images(dtype=dtype)
+    full = np.iinfo(dtype).max
+    images[1] = np.where(images[1] > full * 0.4, full, images[1])
+    images[6] = np.minimum(images[6] // (full // 20), 25)
+    bright, dark = capture_warnings(images, mask, names)
+    assert bright.startswith("saturated: 1.png ")
+    assert dark.startswith("underexposed: ") and "6.png 1" in dark
+
+
+def test_samples_are_taken_inside_the_mask():
+    images, _, names = sphere_images(size=400)
+    images[:, ::2, ::2] = 255
+    mask = np.zeros((400, 400), bool)
+    mask[1::2, 1::2] = images[0, 1::2, 1::2, 0] > 0
+    lines = capture_warnings(images, mask, names)
+    assert not any(line.startswith("saturated") for line in lines)

@@ -1,0 +1,134 @@
+"""Writing normals and the contact sheet."""
+
+import json
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import scipy.io
+
+from unips_jax.command import InputError
+from unips_jax.contact_sheet import shade, srgb_encode, write_sheet
+from unips_jax.normal_files import (
+    appearing_at_once,
+    check_target,
+    encode_normals,
+    write_normals,
+    write_record,
+)
+
+
+@pytest.fixture
+def normals():
+    """Unit normals on an ellipse in a picture that is not square."""
+    x, y = np.meshgrid(np.linspace(-1.2, 1.2, 61), np.linspace(1.2, -1.2, 43))
+    z2 = 1 - x**2 - y**2
+    n = np.stack([x, y, np.sqrt(np.maximum(z2, 0))], axis=-1)
+    return np.where(z2[..., None] > 0, n, 0).astype(np.float32)
+
+
+def decoded(path):
+    values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    assert values.dtype == np.uint16
+    return values / 65535 * 2 - 1
+
+
+def test_known_values():
+    known = np.float32([[-1, 0, 1], [0.5, -0.25, 2]])
+    expected = [[0, 32768, 65535], [49151, 24576, 65535]]
+    np.testing.assert_array_equal(encode_normals(known), expected)
+
+
+def test_png_is_exact_to_half_a_level_and_background_is_near_zero(tmp_path, normals):
+    write_normals(tmp_path, normals)
+    read = decoded(tmp_path / "normals.png")
+    assert read.shape == normals.shape
+    # Half a level, and float32's rounding of values up to 65535.
+    assert np.abs(read - normals).max() <= 1 / 65535 + 1.3e-7
+    inside = normals.any(axis=-1)
+    assert np.abs(read[~inside]).max() <= 2e-5
+    np.testing.assert_array_equal(np.load(tmp_path / "normals.npy"), normals)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["normals.npy", "normals.png"]
+
+
+def test_directx_flips_green_of_maps_not_of_arrays(tmp_path, normals):
+    write_normals(tmp_path, normals, exr=True, mat=True, normal_map="directx")
+    flipped = normals * [1, -1, 1]
+    assert np.abs(decoded(tmp_path / "normals.png") - flipped).max() <= 2e-5
+    exr = OpenEXR.File(str(tmp_path / "normals.exr")).channels()["RGB"].pixels
+    np.testing.assert_array_equal(exr, flipped.astype(np.float32))
+    np.testing.assert_array_equal(np.load(tmp_path / "normals.npy"), normals)
+    mat = scipy.io.loadmat(tmp_path / "normals.mat")["Normal_est"]
+    np.testing.assert_array_equal(mat, normals)
+
+
+def test_files_appear_together_or_not_at_all(tmp_path):
+    target = tmp_path / "out" / "a"
+    with pytest.raises(RuntimeError), appearing_at_once(target) as place:
+        (place / "normals.png").write_text("new")
+        raise RuntimeError
+    assert list((tmp_path / "out").iterdir()) == []
+    with appearing_at_once(target) as place:
+        for name in ("normals.png", "normals.exr"):
+            (place / name).write_text("first")
+        names = write_record(place, {"a": 1})
+        assert not target.exists()
+    assert names == ["normals.exr", "normals.json", "normals.png"]
+    (target / "notes.txt").write_text("the user's")
+    with pytest.raises(RuntimeError), appearing_at_once(target) as place:
+        (place / "normals.png").write_text("second")
+        raise RuntimeError
+    assert (target / "normals.png").read_text() == "first"
+    with appearing_at_once(target) as place:
+        (place / "normals.png").write_text("third")
+        write_record(place, {})
+    assert (target / "normals.png").read_text() == "third"
+    left = sorted(p.name for p in target.iterdir())
+    assert left == ["normals.json", "normals.png", "notes.txt"]
+    record = json.loads((target / "normals.json").read_text())
+    assert record == {"files": ["normals.json", "normals.png"]}
+
+
+def test_nothing_of_the_users_is_overwritten(tmp_path):
+    source = tmp_path / "pot"
+    source.mkdir()
+    (source / "normals.png").write_text("ground truth")
+    with pytest.raises(InputError, match="the photographs' own folder"):
+        check_target(tmp_path / "x" / ".." / "pot", source)
+    with pytest.raises(InputError, match="one with other files"):
+        check_target(source, tmp_path)
+    with pytest.raises(InputError, match="got a file"):
+        check_target(source / "normals.png", tmp_path)
+    check_target(tmp_path / "new", source)
+
+
+def test_srgb_and_shading_of_known_values():
+    linear = [0, 0.0031308, 0.0121702, 0.2140411, 1]
+    expected = [0, 0.0404499, 0.1125, 0.5, 1]  # IEC 61966-2-1
+    np.testing.assert_allclose(srgb_encode(np.array(linear)), expected, atol=1e-3)
+    facing = np.float32([[[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]])
+    cos, sin = np.cos(np.deg2rad(40)), np.sin(np.deg2rad(40))
+    np.testing.assert_allclose(shade(facing, 0)[0], [cos, 0, sin, 0], atol=1e-6)
+    np.testing.assert_allclose(shade(facing, 90)[0], [0, cos, sin, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 2, 13])
+def test_sheet_shows_inputs_normals_and_lights(tmp_path, normals, count):
+    mask = normals.any(axis=-1)
+    images = np.zeros((count, *mask.shape, 3), np.uint8)
+    images[..., 0] = 200  # red photographs
+    path = tmp_path / "sheet.png"
+    title = "a $title_ \u7d75"
+    write_sheet(path, images, normals, mask, title=title, subtitle="b", encoded=True)
+    sheet = cv2.imread(str(path))[..., ::-1]
+    height, width = sheet.shape[:2]
+    assert width > 2 * height
+    # The photographs lie left; colours are right way round.
+    np.testing.assert_array_equal(sheet[200, 100], [200, 0, 0])
+    # The middle of the normals faces the viewer.
+    middle = sheet[84 + 368, 28 + 736 + 28 + 368]
+    np.testing.assert_allclose(middle, [128, 128, 255], atol=3)
+    # The tile at the right is lit from the right: its object's right side is brighter.
+    tile = sheet[84 + 248 : 84 + 488, 28 + 2 * 764 + 496 :][:, :240].mean(axis=-1)
+    assert tile[60:180, 150:230].mean() > 2 * tile[60:180, 10:90].mean()
