@@ -96,10 +96,9 @@ main = command(_main)
 
 
 def _parser() -> argparse.ArgumentParser:
-    assert __doc__ is not None
     parser = argparse.ArgumentParser(
         prog="unips estimate",
-        description=__doc__.split(": ", 1)[1],
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
