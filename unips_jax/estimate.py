@@ -79,11 +79,9 @@ def _main(argv: Sequence[str] | None = None) -> None:
             if len(targets) == 1:
                 raise
             # A batch goes on, whatever befell one folder.
-            kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-            text = " ".join(f"{folder}: {kind}{error}".split())
-            if isinstance(error, InputError):
-                text = " ".join(str(error).split())
-            print(f"error: {text}", file=sys.stderr)
+            text = f"{folder}: {type(error).__name__}: {error}"
+            text = str(error) if isinstance(error, InputError) else text
+            print(f"error: {' '.join(text.split())}", file=sys.stderr)
             failed.append(str(folder))
     if failed:
         raise InputError(
