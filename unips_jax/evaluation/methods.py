@@ -1,7 +1,9 @@
 """The methods that can be evaluated, by name: UniPS and the baselines.
 
 A method is asked for as `name` or `name:option=value,option=value`, such as
-`woodham:keep=(0.2,0.8)`. Modules are imported when a method of theirs is asked for.
+`least-squares:keep=(0.2,0.8)`. GCNet takes PS-FCN's weights, or the name of a calibrated
+baseline, for the normals: `gcnet:weights=GCNET,normals=PS_FCN`. Modules are imported
+when a method of theirs is asked for.
 """
 
 import ast
@@ -9,8 +11,9 @@ import dataclasses
 import hashlib
 import importlib
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,22 +21,42 @@ import numpy as np
 from unips_jax.baselines.method import Lights, Method
 from unips_jax.command import InputError
 
-BASELINES: dict[str, tuple[str, str]] = {
-    "gcnet": ("gcnet", "gcnet"),
-    "mpm": ("mpm", "mpm"),
-    "variational": ("variational", "variational"),
-    "woodham": ("calibrated", "woodham_diligent"),
-    "least-squares": ("calibrated", "woodham"),
-    "l1": ("calibrated", "robust_l1"),
-    "sbl": ("calibrated", "sparse_bayesian"),
-    "rpca": ("calibrated", "low_rank"),
-    "diffuse-maxima": ("uncalibrated", "diffuse_maxima"),
-    "entropy": ("uncalibrated", "entropy"),
-    "sh1": ("spherical_harmonics", "spherical_harmonics"),
-    "hemisphere": ("balloon", "hemisphere"),
-    "constant": ("constant", "constant"),
+
+class Baseline(NamedTuple):
+    """Where a baseline is.
+
+    Attributes:
+        module: in `unips_jax.baselines`.
+        factory: in that module; its keyword arguments are the method's options.
+        fixed: options that the name stands for.
+        weights: whether it cannot run without the option `weights`.
+    """
+
+    module: str
+    factory: str
+    fixed: Mapping[str, Any] = MappingProxyType({})
+    weights: bool = False
+
+
+BASELINES: dict[str, Baseline] = {
+    "gcnet": Baseline("gcnet", "gcnet", weights=True),
+    "lcnet": Baseline("gcnet", "lcnet", weights=True),
+    "ps-fcn": Baseline("gcnet", "ps_fcn", weights=True),
+    "mpm": Baseline("mpm", "mpm"),
+    "variational": Baseline("variational", "variational"),
+    "woodham": Baseline("calibrated", "woodham_diligent"),
+    "least-squares": Baseline("calibrated", "woodham"),
+    "l1": Baseline("calibrated", "robust_l1"),
+    "sbl": Baseline("calibrated", "sparse_bayesian"),
+    "rpca": Baseline("calibrated", "low_rank"),
+    "diffuse-maxima": Baseline(
+        "uncalibrated", "factorisation", {"resolve": "diffuse_maxima"}
+    ),
+    "entropy": Baseline("uncalibrated", "factorisation", {"resolve": "entropy"}),
+    "sh1": Baseline("spherical_harmonics", "first_order_harmonics"),
+    "hemisphere": Baseline("balloon", "hemisphere"),
+    "constant": Baseline("constant", "constant"),
 }
-"""Name on the command line: module in `unips_jax.baselines`, factory in it."""
 
 CLASSICAL = (
     *("woodham", "l1", "sbl", "rpca", "diffuse-maxima", "entropy", "sh1"),
@@ -126,20 +149,33 @@ def _parse_options(request: str) -> dict[str, Any]:
 def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     if name not in BASELINES:
         raise InputError(f"no method {name!r}; there are {', '.join(NAMES)}, classical")
-    module, function = BASELINES[name]
-    try:
-        imported = importlib.import_module(f"unips_jax.baselines.{module}")
-        factory: Callable[..., Method] = getattr(imported, function)
-    except (ModuleNotFoundError, AttributeError) as error:
-        raise InputError(f"method {name!r} is not in this version ({error})") from error
-    try:
-        method = factory(**options)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"method {request!r}: {error}") from error
+    baseline = BASELINES[name]
+    weights = options.get("weights")
+    if (baseline.weights or "weights" in options) and not Path(str(weights)).is_file():
+        raise InputError(
+            f"method {request!r}: expected a file of weights, {name}:weights=FILE, got "
+            f"{weights!r}"
+        )
     hashed = {key: _file_hash(value) for key, value in options.items()}
+    if "normals" in options:
+        options["normals"] = _calibrated(str(options["normals"]))
+    try:
+        module = importlib.import_module(f"unips_jax.baselines.{baseline.module}")
+        factory: Callable[..., Method] = getattr(module, baseline.factory)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise InputError(f"method {name!r} is not in this version") from error
+    try:
+        method = factory(**{**baseline.fixed, **options})
+    except (TypeError, ValueError) as error:
+        raise InputError(f"method {request!r}: {error}") from error
     return Variant(request, {"method": name, "options": hashed}, method)
+
+
+def _calibrated(value: str) -> Method:
+    """The method that finishes GCNet: PS-FCN's weights file, or a baseline's name."""
+    if Path(value).is_file():
+        return _baseline(f"ps-fcn:weights={value}", "ps-fcn", {"weights": value}).run
+    return _baseline(value, value, {}).run
 
 
 def _file_hash(value: Any) -> Any:
@@ -150,7 +186,7 @@ def _file_hash(value: Any) -> Any:
 
 
 def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
-    from unips_jax.estimation import estimate_photographs
+    from unips_jax.streaming import estimate_photographs
     from unips_jax.weights import load_weights
 
     several = len(unips.weights) > 1

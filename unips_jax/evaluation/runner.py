@@ -7,6 +7,7 @@ for it. The order of work is that of the tables; processes that share a work fol
 pass over each other's tasks and wait for them at the end.
 """
 
+import dataclasses
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -45,7 +46,8 @@ class Plan(NamedTuple):
     fingerprints: Sequence[str]
 
 
-class Task(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Task:
     """A method, an object and a number of images.
 
     Attributes:
@@ -63,7 +65,8 @@ class Task(NamedTuple):
     fields: dict[str, Any]
 
 
-class Result(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Result:
     """A finished task.
 
     Attributes:

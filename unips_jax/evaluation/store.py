@@ -131,10 +131,16 @@ class Store:
         write_atomically(path, text.encode())
 
     def normals(self, name: str) -> np.ndarray:
-        """A result's normal map, `[H, W, 3]`, float32."""
+        """A result's normal map, `[H, W, 3]`, float32.
+
+        Raises:
+            InputError: if someone else than this program changed it.
+        """
         data = np.frombuffer(self.path(name).with_suffix(".png").read_bytes(), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)[..., ::-1]
-        return image.astype(np.float32) * np.float32(2 / 65535) - 1
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise InputError(f"{self.path(name)}: its normal map is damaged: delete it")
+        return image[..., ::-1].astype(np.float32) * np.float32(2 / 65535) - 1
 
 
 def encode_normals(normals: np.ndarray) -> bytes:

@@ -57,7 +57,7 @@ class Folder(Benchmark):
         if not photographs:
             raise InputError(f"{folder}: no photographs beside {truth.name}")
         masks = sorted(p for p in folder.glob("[mM]ask.*") if _is_image(p))[:1]
-        name = folder.name.removesuffix(".data")
+        name = folder.resolve().name.removesuffix(".data")
         return Entry(name, photographs, (truth, *masks), {"object": name})
 
     def truth(self, entry: Entry) -> Truth:

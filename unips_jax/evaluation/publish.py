@@ -1,0 +1,109 @@
+"""Writes what people look at: tables, sheets, the report, submissions."""
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from unips_jax.evaluation.benchmarks import submission_bytes
+from unips_jax.evaluation.protocols import choose_images, show
+from unips_jax.evaluation.report import Exhibit, exhibit, report
+from unips_jax.evaluation.runner import Plan, Result
+from unips_jax.evaluation.sheets import Panel, sheet
+from unips_jax.evaluation.store import Store, slug, write_atomically
+from unips_jax.evaluation.summary import Results, Table
+from unips_jax.evaluation.tables import files_of
+
+
+def write_tables(store: Store, tables: Sequence[Table]) -> Path:
+    """Writes the tables in all formats.
+
+    Returns:
+        Their folder.
+    """
+    folder = store.root / "tables"
+    with store.claim("publish", wait=True):
+        folder.mkdir(exist_ok=True)
+        for name, data in files_of(tables).items():
+            write_atomically(folder / name, data)
+    return folder
+
+
+def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibit]:
+    """Draws every object's sheet into `sheets/`, unless it is there.
+
+    Yields:
+        Each object's pictures for the report.
+    """
+    folder = store.root / "sheets"
+    folder.mkdir(exist_ok=True)
+    for index, entry in enumerate(plan.benchmark.entries):
+        own = [
+            result
+            for result in results.results
+            if result.entry == entry.name and result.count == results.main_count
+        ]
+        total = len(entry.images)
+        count = total if results.main_count is None else results.main_count
+        case = show(
+            plan.benchmark[index],
+            plan.protocol,
+            choose_images(count, total, seed=plan.seed),
+            crop_focal_ratio=plan.benchmark.crop_focal_ratio,
+        )
+        panels = [_panel(store, result) for result in own]
+        caption = _caption(entry.name, own[0])
+        names = "\n".join(result.name for result in own)
+        digest = hashlib.blake2b(names.encode(), digest_size=4).hexdigest()
+        path = folder / f"{slug(entry.name)}-{digest}.png"
+        with store.claim("publish", wait=True):
+            if not path.is_file():
+                write_atomically(path, sheet(caption, case, panels))
+            data = path.read_bytes()
+        yield exhibit(entry.name, caption, data, case, panels)
+
+
+def write_report(
+    store: Store,
+    results: Results,
+    tables: Sequence[Table],
+    exhibits: Sequence[Exhibit],
+) -> Path:
+    """Writes the report.
+
+    Returns:
+        Its path.
+    """
+    path = store.root / "report.html"
+    with store.claim("publish", wait=True):
+        write_atomically(path, report(results, tables, exhibits))
+    return path
+
+
+def write_submissions(store: Store, results: Results) -> Path:
+    """Writes DiLiGenT10^2's files, a folder per method.
+
+    Returns:
+        The folder of these folders.
+    """
+    folder = store.root / "submission"
+    with store.claim("publish", wait=True):
+        for result in results.results:
+            if result.count != results.main_count or result.unsupported:
+                continue
+            target = folder / slug(result.label)
+            target.mkdir(parents=True, exist_ok=True)
+            data = submission_bytes(store.normals(result.name))
+            write_atomically(target / f"{result.entry}.mat", data)
+    return folder
+
+
+def _panel(store: Store, result: Result) -> Panel:
+    mae = result.score.mae if result.score else None
+    normals = None if result.unsupported else store.normals(result.name)
+    return Panel(result.label, normals, mae)
+
+
+def _caption(name: str, result: Result) -> str:
+    words = [name, result.tags.get("material"), result.tags.get("category")]
+    parts = list(dict.fromkeys(word for word in words if word))
+    return " · ".join([*parts, f"{result.images} images"])
