@@ -1,0 +1,189 @@
+"""The balloon: the surface of least area over a mask that holds a given volume.
+
+The start of the variational method, and a floor for every table: what the silhouette
+alone tells. Heights are in pixels, positive towards the viewer, zero on the mask's
+boundary.
+
+Source: Oswald et al. / Haefner et al., "Variational uncalibrated photometric stereo
+under general lighting" (ICCV 2019), initialisation.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from scipy import ndimage
+
+from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.variational_grid import forward, integrate, shift
+
+_DIRECT_SIZE = 96
+_BURST = 50  # iterations between two looks at the area: float32 cannot see one
+
+
+def balloon(
+    mask: Array, volume: Array | float, *, tol: float = 1e-7, limit: int = 10_000
+) -> Array:
+    """Blows a balloon up over a mask, by projected gradient descent on its area.
+
+    Args:
+        mask: `[H, W]`, bool.
+        volume: mean height over the mask, in pixels, > 0.
+        tol: stops once an iteration changes the area by less than this share.
+        limit: iterations at most.
+
+    Returns:
+        Heights `[H, W]`, float32, >= 0 up to rounding; zero on the boundary (the mask
+        minus its erosion by a 3x3 cross, the image's border counting as outside) and
+        outside.
+    """
+    mask = jnp.asarray(mask, bool)
+    start = jnp.ones(mask.shape, jnp.float32)
+    if max(mask.shape) > _DIRECT_SIZE:
+        # The minimum is the same from any start; from half the resolution it is near.
+        height, width = (2 * (side // 2) for side in mask.shape)
+        quarters = mask[:height, :width].reshape(height // 2, 2, width // 2, 2)
+        coarse = balloon(jnp.sum(quarters, (1, 3)) >= 2, volume / 2, tol=tol)
+        start = 2 * jax.image.resize(coarse, mask.shape, "linear")
+    return _balloon(mask, start, jnp.float32(volume), tol, limit)
+
+
+@jax.jit
+def _balloon(mask: Array, start: Array, volume: Array, tol: float, limit: int) -> Array:
+    inner = mask
+    for rows, columns in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        inner = inner & shift(mask, rows, columns)
+    count = jnp.maximum(jnp.sum(mask), 1)
+    shape = jax.ShapeDtypeStruct(mask.shape, jnp.float32)
+
+    def gradient(height: Array) -> Array:
+        return forward(height, mask, closed=True)
+
+    def root(slope: Array) -> Array:
+        return jnp.sqrt(1 + jnp.sum(slope**2, axis=0))
+
+    def step(height: Array) -> Array:
+        slope = gradient(height)
+        flow = jax.linear_transpose(gradient, shape)(slope / root(slope))[0]
+        height = jnp.where(inner, height - (0.8 / np.sqrt(8)) * flow, 0.0)
+        lift = volume - jnp.sum(height) / count
+        return jnp.where(mask, height + lift, 0.0)
+
+    def area(height: Array) -> Array:
+        return jnp.sum(jnp.where(mask, root(gradient(height)), 0.0))
+
+    def unfinished(carry: tuple) -> Array:
+        _, before, now, done = carry
+        return (jnp.abs(now - before) >= _BURST * tol * now) & (done < limit)
+
+    def burst(carry: tuple) -> tuple:
+        height, _, now, done = carry
+        height = lax.fori_loop(0, _BURST, lambda _, h: step(h), height)
+        return height, now, area(height), done + _BURST
+
+    start = jnp.where(mask, start, 0.0)
+    carry = burst((start, jnp.float32(0), area(start), 0))
+    height = lax.while_loop(unfinished, burst, carry)[0]
+    return jnp.where(inner, height, 0.0)
+
+
+def relief_normals(height: Array, mask: Array) -> Array:
+    """Normals of an orthographic relief, by forward differences.
+
+    Args:
+        height: `[H, W]`, towards the viewer, in pixels; zero outside the mask.
+        mask: `[H, W]`, bool.
+
+    Returns:
+        `[3, H, W]`, unit length in the camera frame (x right, y down, z away from the
+        camera); zero outside the mask.
+    """
+    slope = forward(height, mask, closed=False)
+    normals = jnp.stack([-slope[0], -slope[1], -jnp.ones_like(height)])
+    normals = normals / jnp.linalg.norm(normals, axis=0)
+    return jnp.where(mask, normals, 0.0)
+
+
+@jax.jit
+def perspective_depth(
+    height: Array, mask: Array, u: Array, v: Array, focal: Array | float
+) -> Array:
+    """Depth of a perspective surface with the normals of an orthographic relief.
+
+    Args:
+        height: `[H, W]`, towards the viewer, in pixels.
+        mask: `[H, W]`, bool.
+        u: `[H, W]`, columns counted from the principal point.
+        v: `[H, W]`, rows counted from the principal point.
+        focal: focal length in pixels.
+
+    Returns:
+        Depth `[H, W]`, positive inside the mask where its logarithm has mean 1, zero
+        outside. Slopes seen at more than 85 degrees from the viewing ray are ignored.
+    """
+    normals = relief_normals(height, mask)
+    rays = jnp.stack([u / focal, v / focal, jnp.ones_like(u)])
+    along = jnp.sum(rays * normals, axis=0)
+    cosine = -along / jnp.linalg.norm(rays, axis=0)
+    steep = ~mask | (cosine <= np.cos(np.deg2rad(85.0)))
+    slopes = -normals[:2] / focal / jnp.where(steep, 1.0, along)
+    log_depth = integrate(jnp.where(steep, 0.0, slopes), mask) + 1
+    return jnp.where(mask, jnp.exp(log_depth), 0.0)
+
+
+def to_product_frame(normals: Array, mask: np.ndarray) -> np.ndarray:
+    """Turns camera-frame normals into the product's.
+
+    Args:
+        normals: `[3, H, W]`, x right, y down, z away from the camera, any length.
+        mask: `[H, W]`, bool.
+
+    Returns:
+        `[H, W, 3]`, float32, unit length (x right, y up, z to the viewer), zero
+        outside the mask; (0, 0, 1) where the length was zero.
+    """
+    field = np.moveaxis(np.asarray(normals, np.float32), 0, -1) * np.float32(
+        [1, -1, -1]
+    )
+    length = np.linalg.norm(field, axis=-1, keepdims=True)
+    field = np.where(length > 0, field / np.where(length > 0, length, 1), [0, 0, 1])
+    return np.where(mask[..., None], field, 0).astype(np.float32)
+
+
+def hemisphere(*, volume: float | None = None) -> Method:
+    """Makes the floor that looks at the mask only: a balloon's normals.
+
+    Args:
+        volume: the balloon's mean height in pixels; None: twice the mean distance to
+            the silhouette, which turns a disc into a hemisphere.
+
+    Returns:
+        The method; it ignores images, lights and focal length. It raises `Unsupported`
+        if the mask is empty.
+    """
+
+    def method(
+        images: np.ndarray,
+        mask: np.ndarray,
+        *,
+        lights: Lights | None = None,
+        focal: float | None = None,
+    ) -> np.ndarray:
+        mask = np.asarray(mask, bool)
+        if not mask.any():
+            raise Unsupported("hemisphere: the mask is empty; mark the object in it")
+        distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+        wanted = 2 * distance[mask].mean() if volume is None else volume
+        height = balloon(jnp.asarray(mask), wanted)
+        return to_product_frame(_smooth_normals(height, jnp.asarray(mask)), mask)
+
+    return method
+
+
+@jax.jit
+def _smooth_normals(height: Array, mask: Array) -> Array:
+    # Averaging forward and backward differences keeps the floor centred on its mask.
+    right, down = forward(height, mask, closed=False)
+    slope_x, slope_y = right + shift(right, 0, -1), down + shift(down, -1, 0)
+    normals = jnp.stack([-slope_x / 2, -slope_y / 2, -jnp.ones_like(height)])
+    return jnp.where(mask, normals, 0.0)

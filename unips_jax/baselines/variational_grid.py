@@ -1,0 +1,178 @@
+"""Differences on a masked pixel grid, and conjugate gradients.
+
+Every function takes images whose last two axes are rows (downwards) and columns (to
+the right); the mask is `[H, W]`, bool. Gradients are stacked on a new leading axis:
+index 0 along the columns, index 1 along the rows. All are linear in the image, so
+their transposes come from `jax.linear_transpose`.
+"""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+Product = Callable[[Array], Array]
+
+
+def shift(image: Array, rows: int, columns: int) -> Array:
+    """Reads every pixel's neighbour; zero beyond the border.
+
+    Args:
+        image: `[..., H, W]`.
+        rows: -1, 0 or 1: the neighbour above, in the same row, or below.
+        columns: -1, 0 or 1: likewise to the left or to the right.
+
+    Returns:
+        `[..., H, W]`, with `out[y, x] = image[y + rows, x + columns]`.
+    """
+    height, width = image.shape[-2:]
+    padded = jnp.pad(image, [(0, 0)] * (image.ndim - 2) + [(1, 1), (1, 1)])
+    padded = lax.slice_in_dim(padded, 1 + rows, 1 + rows + height, axis=-2)
+    return lax.slice_in_dim(padded, 1 + columns, 1 + columns + width, axis=-1)
+
+
+def forward(image: Array, mask: Array, *, closed: bool) -> Array:
+    """Forward differences: right minus here, below minus here.
+
+    Args:
+        image: `[..., H, W]`.
+        mask: `[H, W]`.
+        closed: True: the difference across the mask's edge is zero (Neumann); False:
+            outside the mask the image counts as zero (Dirichlet).
+
+    Returns:
+        `[2, ..., H, W]`, zero outside the mask.
+    """
+    inside = jnp.where(mask, image, 0.0)
+    steps = []
+    for rows, columns in ((0, 1), (1, 0)):
+        difference = shift(inside, rows, columns) - inside
+        valid = mask & shift(mask, rows, columns) if closed else mask
+        steps.append(jnp.where(valid, difference, 0.0))
+    return jnp.stack(steps)
+
+
+def central(image: Array, mask: Array) -> Array:
+    """Central differences, zero unless both neighbours are inside the mask.
+
+    Args:
+        image: `[..., H, W]`.
+        mask: `[H, W]`.
+
+    Returns:
+        `[2, ..., H, W]`.
+    """
+    steps = []
+    for rows, columns in ((0, 1), (1, 0)):
+        difference = 0.5 * (shift(image, rows, columns) - shift(image, -rows, -columns))
+        valid = mask & shift(mask, rows, columns) & shift(mask, -rows, -columns)
+        steps.append(jnp.where(valid, difference, 0.0))
+    return jnp.stack(steps)
+
+
+def solve_cg(
+    product: Product,
+    right: Array,
+    diagonal: Array,
+    *,
+    start: Array | None = None,
+    rtol: float = 1e-4,
+    limit: int = 1000,
+) -> Array:
+    """Conjugate gradients with Jacobi's preconditioner.
+
+    Args:
+        product: the symmetric positive semi-definite matrix, as a function.
+        right: the right-hand side, any shape, zero where there is no unknown.
+        diagonal: the matrix's diagonal, same shape; entries <= 0 mark no unknown.
+        start: where to start; zero if None.
+        rtol: stops once the residual's norm is below `rtol` times the norm of `right`.
+        limit: iterations at most.
+
+    Returns:
+        The solution, same shape.
+    """
+    inverse = jnp.where(diagonal > 0, 1 / jnp.where(diagonal > 0, diagonal, 1.0), 0.0)
+    goal = rtol**2 * jnp.sum(right**2)
+    x = jnp.zeros_like(right) if start is None else start
+    r = right - product(x)
+    y = inverse * r
+
+    def unfinished(carry: tuple) -> Array:
+        _, r, _, _, count = carry
+        return (jnp.sum(r**2) > goal) & (count < limit)
+
+    def advance(carry: tuple) -> tuple:
+        x, r, direction, ry, count = carry
+        image = product(direction)
+        curvature = jnp.sum(direction * image)
+        step = jnp.where(curvature > 0, ry / jnp.where(curvature > 0, curvature, 1), 0)
+        x = x + step * direction
+        r = r - step * image
+        y = inverse * r
+        ry_new = jnp.sum(r * y)
+        ratio = ry_new / jnp.where(ry > 0, ry, 1.0)
+        # A vanishing curvature means that float32 can do no more: leave.
+        count = jnp.where(curvature > 0, count + 1, limit)
+        return x, r, y + ratio * direction, ry_new, count
+
+    start_carry = (x, r, y, jnp.sum(r * y), jnp.asarray(0))
+    return lax.while_loop(unfinished, advance, start_carry)[0]
+
+
+def stencil(center: Array, right: Array, below: Array, aslant: Array) -> Product:
+    """A symmetric matrix that links pixels to their neighbours, as a function.
+
+    Written out, because it is what the depth update spends its time on.
+
+    Args:
+        center: `[H, W]`, the diagonal.
+        right: `[H, W]`, entries that link a pixel and the one to its right.
+        below: `[H, W]`, entries that link a pixel and the one below.
+        aslant: `[H, W]`, entries that link a pixel and the one below to the left.
+            Entries for neighbours beyond the border must be zero.
+
+    Returns:
+        A function from flat images `[H * W]` to flat images.
+    """
+    size, width = center.size, center.shape[1]
+    terms = [(center.ravel(), 0)]
+    for image, rows, columns in ((right, 0, 1), (below, 1, 0), (aslant, 1, -1)):
+        offset = rows * width + columns
+        terms.append((image.ravel(), offset))
+        terms.append((shift(image, -rows, -columns).ravel(), -offset))
+
+    def product(flat: Array) -> Array:
+        padded = jnp.pad(flat, width + 1)
+        total = jnp.zeros_like(flat)
+        for coefficient, offset in terms:
+            begin = width + 1 + offset
+            total += coefficient * lax.slice(padded, (begin,), (begin + size,))
+        return total
+
+    return product
+
+
+def integrate(slopes: Array, mask: Array, *, rtol: float = 1e-5) -> Array:
+    """Integrates a gradient field by least squares (Poisson), mean 0 on the mask.
+
+    Args:
+        slopes: `[2, H, W]`, wanted forward differences along columns and rows.
+        mask: `[H, W]`.
+        rtol: tolerance of the conjugate gradients.
+
+    Returns:
+        `[H, W]`, zero outside the mask.
+    """
+    links = jnp.stack(
+        [mask & shift(mask, 0, 1), mask & shift(mask, 1, 0)], dtype=slopes.dtype
+    )
+    flow_x, flow_y = links * slopes
+    divergence = shift(flow_x, 0, -1) - flow_x + shift(flow_y, -1, 0) - flow_y
+    degree = links[0] + links[1] + shift(links[0], 0, -1) + shift(links[1], -1, 0)
+    product = stencil(degree, -links[0], -links[1], jnp.zeros_like(degree))
+    limit = 10 * max(mask.shape)
+    flat = solve_cg(product, divergence.ravel(), degree.ravel(), rtol=rtol, limit=limit)
+    solution = flat.reshape(mask.shape)
+    mean = jnp.sum(solution) / jnp.maximum(jnp.sum(mask), 1)
+    return jnp.where(mask, solution - mean, 0.0)
