@@ -52,9 +52,9 @@ def _keep_compiled() -> None:
     """Keeps compiled functions for the next run, unless the user said where."""
     import jax
 
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "unips_jax"
-    if jax.config.jax_compilation_cache_dir is None:
-        jax.config.update("jax_compilation_cache_dir", str(cache))
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+        jax.config.update("jax_compilation_cache_dir", str(home / "unips_jax"))
 
 
 def _check_workdir(workdir: Path, benchmark: Benchmark) -> None:
@@ -113,10 +113,11 @@ def _parser() -> argparse.ArgumentParser:
     add(
         *("--method", "-m"),
         nargs="+",
-        default=["unips", "constant"],
+        default=["unips"],
         metavar="NAME",
         help="name or name:option=value,...; 'classical' stands for the baselines "
-        f"without weights; names: {', '.join(NAMES)} (default: unips constant)",
+        f"without weights; names: {', '.join(NAMES)} (default: unips); the constant "
+        "normal is always added",
     )
     add(
         "--weights",

@@ -1,9 +1,9 @@
 """The methods that can be evaluated, by name: UniPS and the baselines.
 
 A method is asked for as `name` or `name:option=value,option=value`, such as
-`least-squares:keep=(0.2,0.8)`. GCNet takes PS-FCN's weights, or the name of a calibrated
-baseline, for the normals: `gcnet:weights=GCNET,normals=PS_FCN`. Modules are imported
-when a method of theirs is asked for.
+`least-squares:keep=(0.2,0.8)`. GCNet takes PS-FCN's weights, or the name of a
+calibrated baseline, for the normals: `gcnet:weights=GCNET,normals=PS_FCN`. Modules are
+imported when a method of theirs is asked for.
 """
 
 import ast
@@ -97,7 +97,7 @@ class UnipsOptions(NamedTuple):
 
 
 def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]:
-    """Readies the methods asked for.
+    """Readies the methods asked for, and the constant normal, the floor of any table.
 
     Args:
         requests: `name` or `name:option=value,...`; `classical` stands for the
@@ -111,7 +111,7 @@ def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]
     expanded = [
         name for r in requests for name in (CLASSICAL if r == "classical" else [r])
     ]
-    for request in dict.fromkeys(expanded):
+    for request in dict.fromkeys([*expanded, "constant"]):
         name, _, options = request.partition(":")
         if name == "unips":
             if options:
@@ -126,8 +126,6 @@ def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]
     for label in labels:
         if labels.count(label) > 1:
             raise InputError(f"two methods are called {label!r}; rename the weights")
-    if not variants:
-        raise InputError("no method to evaluate")
     return variants
 
 

@@ -4,6 +4,7 @@ Everything here reads; nothing writes. A file that is missing, cut short or of a
 kind raises `InputError`, never a library's own exception.
 """
 
+import io
 import re
 import zipfile
 from pathlib import Path
@@ -129,8 +130,9 @@ def read_npz(path: Path, key: str) -> np.ndarray:
         InputError: if the file is damaged or lacks it.
     """
     require_file(path, f"a NumPy archive with {key}")
+    content = io.BytesIO(read_bytes(path))
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(content, allow_pickle=False) as archive:
             found = sorted(archive.files)
             if key in found:
                 return archive[key]

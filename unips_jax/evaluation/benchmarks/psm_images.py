@@ -95,10 +95,10 @@ def _images(folder: Path, name: str) -> tuple[Path, ...]:
             words = files.read_bytes(listing).decode("utf-8", "replace").split()
             names = [os.path.basename(word) for word in words[1:]]
             kept = [n for n in names if "mask" not in n]
-            if not words[0].isdigit() or int(words[0]) != len(kept) or not kept:
+            if not kept or words[0] != str(len(kept)):
                 raise InputError(
                     f"{listing}: expected a number of images, their names, and the "
-                    f"mask's name; got {words[0][:20]!r} and {len(kept)} names"
+                    f"mask's name; got {len(kept)} names after {words[:1]}"
                 )
             return tuple((folder / n).with_suffix(".png") for n in kept)
     found = [

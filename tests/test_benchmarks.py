@@ -1,0 +1,348 @@
+"""Every reader on miniature sets in the published layouts, to the pixel."""
+
+import evaluation_data as data
+import numpy as np
+import OpenEXR
+import pytest
+from scipy.io import loadmat, savemat
+
+from unips_jax.command import InputError
+from unips_jax.evaluation.benchmarks import open_benchmark, submission_bytes
+from unips_jax.evaluation.benchmarks.images import is_photograph
+from unips_jax.evaluation.benchmarks.luces import read_leds
+from unips_jax.evaluation.benchmarks.ps_wild import manifest
+
+
+def by_name(benchmark):
+    return {benchmark[i].name: benchmark[i] for i in range(len(benchmark))}
+
+
+def test_diligent_gives_what_was_stored(tmp_path):
+    data.make_diligent(tmp_path, objects=("ball",))
+    mask, truth, directions, intensities = data.make_directional(
+        tmp_path / "pmsData" / "ballPNG", images=4, seed=3
+    )
+    before = data.snapshot(tmp_path)
+    item = open_benchmark("diligent", tmp_path, objects=("ball",))[0]
+    rendered = data.shade(truth, directions) * intensities[:, None, None] / 2
+    np.testing.assert_array_equal(item.images, data.to16(rendered))
+    assert item.images.dtype == np.uint16
+    np.testing.assert_array_equal(item.mask, mask)
+    np.testing.assert_array_equal(item.normals, truth.astype(np.float32))
+    np.testing.assert_allclose(item.lights.directions, directions, atol=1e-6)
+    np.testing.assert_allclose(item.lights.intensities, intensities, rtol=1e-6)
+    assert item.focal is None
+    assert data.snapshot(tmp_path) == before
+
+
+def test_diligent_root_may_be_pmsdata_itself(tmp_path):
+    data.make_diligent(tmp_path, images=2)
+    names = [e.name for e in open_benchmark("diligent", tmp_path / "pmsData").entries]
+    assert names == list(data.DILIGENT)
+    assert len(open_benchmark("diligent", tmp_path)) == 10
+
+
+def test_diligent_drops_the_corrupt_images_of_bear(tmp_path):
+    data.make_diligent(tmp_path, images=4, objects=("bear",))
+    benchmark = open_benchmark("diligent", tmp_path, objects=("bear",))
+    item = benchmark[0]
+    assert [p.name for p in benchmark.entries[0].images] == [
+        *("021.png", "022.png", "023.png", "024.png")
+    ]
+    folder = tmp_path / "pmsData" / "bearPNG"
+    directions = np.loadtxt(folder / "light_directions.txt")
+    np.testing.assert_allclose(item.lights.directions, directions[20:], atol=1e-6)
+    shading = data.shade(item.normals, directions[20:])
+    shading = shading * item.lights.intensities[:, None, None] / 2
+    difference = np.abs(item.images / 65535 - shading)[:, item.mask]
+    assert difference.max() < 1e-4
+    assert item.notes == ("the first 20 images are corrupt: dropped",)
+
+
+def test_diligent_ignores_harvests_upside_down_text(tmp_path):
+    data.make_diligent(tmp_path, objects=("harvest",), size=(13, 16))
+    folder = tmp_path / "pmsData" / "harvestPNG"
+    item = open_benchmark("diligent", tmp_path, objects=("harvest",))[0]
+    text = np.loadtxt(folder / "normal.txt").reshape(13, 16, 3)
+    stored = loadmat(folder / "Normal_gt.mat")["Normal_gt"]
+    np.testing.assert_array_equal(item.normals, stored.astype(np.float32))
+    assert np.abs(item.normals - text[::-1]).max() < 1e-6
+    assert np.abs(item.normals - text).max() > 1
+
+
+def test_diligent_keeps_and_reports_pot2s_zero_normals(tmp_path):
+    data.make_diligent(tmp_path, objects=("pot2",))
+    item = open_benchmark("diligent", tmp_path, objects=("pot2",))[0]
+    assert (~item.normals[item.mask].any(-1)).sum() == 7
+    assert item.notes == ("7 true normals of zero length count as 90 degrees",)
+
+
+def test_diligent_needs_all_ten_objects_unless_told(tmp_path):
+    data.make_diligent(tmp_path, objects=("ball", "cat"), images=2)
+    with pytest.raises(InputError, match="bearPNG"):
+        open_benchmark("diligent", tmp_path)
+    assert len(open_benchmark("diligent", tmp_path, objects=("ball", "cat"))) == 2
+    with pytest.raises(InputError, match="no object"):
+        open_benchmark("diligent", tmp_path, objects=("ball", "elk"))
+
+
+def test_diligent_reports_a_mask_of_another_size_than_published(tmp_path):
+    data.make_diligent(tmp_path, objects=("ball",), images=1, size=(512, 612))
+    (note,) = open_benchmark("diligent", tmp_path, objects=("ball",))[0].notes
+    assert "published one 15791" in note
+
+
+def test_diligent_mv_has_views_and_a_camera(tmp_path):
+    data.make_diligent_mv(tmp_path, objects=("cow",))
+    benchmark = open_benchmark("diligent-mv", tmp_path, objects=("cow",))
+    assert [entry.name for entry in benchmark.entries] == [
+        f"cow/view_{i:02d}" for i in range(1, 21)
+    ]
+    item = benchmark[6]
+    assert item.focal == 3700
+    assert item.tags == {"object": "cow", "view": "07"}
+    np.testing.assert_allclose(
+        item.lights.directions, data.lights(3, seed=7), atol=1e-6
+    )
+
+
+def test_diligent_mv_misses_a_view(tmp_path):
+    data.make_diligent_mv(tmp_path, objects=("cow",))
+    (tmp_path / "mvpmsData/cowPNG/view_13").rename(tmp_path / "gone")
+    with pytest.raises(InputError, match="view_13"):
+        open_benchmark("diligent-mv", tmp_path, objects=("cow",))
+
+
+def test_diligent102_withholds_the_truth(tmp_path):
+    data.make_diligent102(tmp_path, objects=("BALL_POM",))
+    benchmark = open_benchmark("diligent102", tmp_path, objects=("BALL_POM",))
+    item = benchmark[0]
+    assert item.normals is None and item.images.shape == (3, 1001, 1001, 3)
+    assert item.tags["category"] == "POM"
+    with pytest.raises(InputError, match="BALL_PP"):
+        open_benchmark("diligent102", tmp_path)
+
+
+def test_diligent102_without_a_list_takes_numbered_images(tmp_path):
+    data.make_diligent102(tmp_path, objects=("NUT_AL",))
+    (tmp_path / "NUT_AL" / "filenames.txt").unlink()
+    (entry,) = open_benchmark("diligent102", tmp_path, objects=("NUT_AL",)).entries
+    assert [p.name for p in entry.images] == ["001.png", "002.png", "003.png"]
+
+
+def test_submission_is_what_the_benchmark_reads_and_always_the_same(tmp_path):
+    normals = np.random.default_rng(0).normal(size=(7, 5, 3)).astype(np.float32)
+    first = submission_bytes(normals)
+    assert first == submission_bytes(normals)
+    (tmp_path / "BALL_POM.mat").write_bytes(first)
+    stored = loadmat(tmp_path / "BALL_POM.mat")["Normal_est"]
+    np.testing.assert_array_equal(stored, normals.astype(np.float64))
+
+
+def test_luces_gives_truth_and_camera_but_no_distant_lights(tmp_path):
+    data.make_luces(tmp_path, objects=("Ball", "Jar"))
+    benchmark = open_benchmark("luces", tmp_path, objects=("Jar", "Ball"))
+    assert [entry.name for entry in benchmark.entries] == ["Ball", "Jar"]
+    item = benchmark[1]
+    mask, normals = data.sphere(12, 16)
+    assert item.images.shape == (52, 12, 16, 3)
+    np.testing.assert_array_equal(
+        item.images, data.to16(data.shade(normals, data.lights(52)))
+    )
+    np.testing.assert_allclose(
+        item.normals, np.where(mask[..., None], normals, 0), atol=2e-5
+    )
+    assert item.focal == 22.5 and item.lights is None
+    leds = read_leds(tmp_path / "data/Jar/led_params.txt")
+    np.testing.assert_allclose(leds.positions, 200 * data.lights(52), atol=1e-4)
+    assert leds.mean_distance == 300 and leds.centre == (8, 6)
+
+
+def test_uw_reads_lists_lights_and_the_grey_sphere(tmp_path):
+    data.make_uw(tmp_path)
+    benchmark = open_benchmark("uw", tmp_path)
+    assert [entry.name for entry in benchmark.entries] == list(data.UW)
+    items = by_name(benchmark)
+    gray = items["gray"]
+    assert gray.images.dtype == np.uint8 and len(gray.images) == 12
+    assert [p.name for p in benchmark.entries[2].images][9:] == [
+        *("gray.9.png", "gray.10.png", "gray.11.png")
+    ]
+    np.testing.assert_allclose(gray.lights.directions, data.lights(12), atol=1e-5)
+    mask, normals = data.sphere(30, 32)
+    inside = normals[mask]
+    cosine = np.sum(gray.normals[mask] * inside, -1) / np.linalg.norm(inside, axis=-1)
+    assert np.rad2deg(np.arccos(np.minimum(cosine, 1))).mean() < 4
+    assert items["owl"].normals is None
+    assert "outline" in gray.notes[0]
+
+
+def test_uw_without_lights_and_lists(tmp_path):
+    data.make_uw(tmp_path, with_lights=False)
+    for path in (tmp_path / "psmImages").glob("*.txt"):
+        path.unlink()
+    item = open_benchmark("uw", tmp_path / "psmImages", objects=("cat",))[0]
+    assert item.lights is None and len(item.images) == 12
+
+
+def test_uw_lights_away_from_the_viewer_are_turned(tmp_path):
+    data.make_uw(tmp_path)
+    rows = data.lights(12) * [1, 1, -1]
+    path = tmp_path / "psmImages" / "lights.txt"
+    path.write_text("12\n" + "\n".join(" ".join(map(str, row)) for row in rows))
+    item = open_benchmark("uw", tmp_path, objects=("cat",))[0]
+    np.testing.assert_allclose(item.lights.directions, data.lights(12), atol=1e-6)
+
+
+def test_rendered_ps_wild_has_masks_lights_and_categories(tmp_path):
+    data.make_ps_wild(tmp_path)
+    benchmark = open_benchmark("ps-wild", tmp_path)
+    assert [entry.name for entry in benchmark.entries] == [
+        f"{lighting}/obj{i:03d}" for lighting in data.PS_WILD_LIGHTINGS for i in (0, 1)
+    ]
+    items = by_name(benchmark)
+    item = items["directional/obj001"]
+    mask, normals = data.sphere(24, 24, radius=24 * 0.35)
+    np.testing.assert_array_equal(item.mask, mask)
+    np.testing.assert_allclose(item.normals[mask], normals[mask], atol=2e-5)
+    assert (item.normals[~mask] == 0).all()
+    assert item.tags["category"] == "metal" and item.tags["lighting"] == "directional"
+    np.testing.assert_allclose(
+        item.lights.directions, data.lights(4, seed=1), atol=1e-6
+    )
+    assert items["mixed/obj001"].lights is None
+
+
+def test_ps_wild_test_takes_masks_from_normals_and_the_manifest(tmp_path):
+    data.make_ps_wild_test(tmp_path)
+    (tmp_path / "environment").rename(tmp_path / "HDRI")
+    benchmark = open_benchmark("ps-wild", tmp_path)
+    assert len(benchmark) == 150
+    lightings = [entry.tags["lighting"] for entry in benchmark.entries]
+    assert lightings[::50] == ["directional", "environment", "mixed"]
+    _, normals = data.sphere(16, 16, radius=6)
+    item = benchmark[58]
+    np.testing.assert_array_equal(item.mask, normals.any(-1))
+    # Figure 11: the second material of bunnydoll's pair is the tenth object.
+    assert benchmark.entries[9].tags["material"] == "wood-parquet-59"
+    assert benchmark.entries[9].tags["category"] == "Wood"
+    counts = {}
+    for entry in benchmark.entries[:50]:
+        category = entry.tags["category"]
+        counts[category] = counts.get(category, 0) + 1
+    assert sum(counts.values()) == 50 and len(counts) == 6
+
+
+def test_ps_wild_materials_by_name_come_before_position(tmp_path):
+    data.make_ps_wild_test(tmp_path, objects=1)
+    folder = tmp_path / "mixed" / "00.data"
+    folder.rename(tmp_path / "mixed" / "dolphin_explosion-blue-1.data")
+    entries = {e.name: e for e in open_benchmark("ps-wild", tmp_path).entries}
+    tags = entries["mixed/dolphin_explosion-blue-1"].tags
+    assert (tags["category"], tags["material"]) == ("Floor", "explosion-blue-1")
+    assert "category" not in entries["directional/00"].tags
+
+
+def test_manifest_is_the_papers():
+    assert len(manifest()) == 50
+    assert len({row["object"] for row in manifest()}) == 25
+
+
+def test_ps_wild_training_folder_is_read_and_left_alone(tmp_path):
+    data.make_ps_wild_train(tmp_path)
+    before = data.snapshot(tmp_path)
+    benchmark = open_benchmark("ps-wild-train", tmp_path)
+    item = benchmark[0]
+    assert item.name == "anvil" and item.images.shape == (10, 16, 16, 3)
+    for i in range(len(benchmark)):
+        benchmark.check(i)
+    assert data.snapshot(tmp_path) == before
+
+
+def test_ps_wild_masked_pixels_without_truth_are_left_out_and_reported(tmp_path):
+    data.make_ps_wild(tmp_path, objects=1)
+    folder = tmp_path / "mixed" / "obj000.data"
+    data.write_mask(folder / "mask.png", np.ones((24, 24), bool))
+    benchmark = open_benchmark("ps-wild", tmp_path, objects=("mixed/obj000",))
+    item = benchmark[0]
+    mask, _ = data.sphere(24, 24, radius=24 * 0.3)
+    np.testing.assert_array_equal(item.mask, mask)
+    assert item.notes == (
+        f"{(~mask).sum()} masked pixels have no true normal: left out",
+    )
+
+
+@pytest.mark.parametrize("mask", [True, False])
+def test_plain_folder(tmp_path, mask):
+    data.make_folder(tmp_path, mask=mask)
+    data.write_image(tmp_path / "cup" / "baseColor.png", np.zeros((3, 3, 3), np.uint8))
+    benchmark = open_benchmark("folder", tmp_path)
+    item = benchmark[0]
+    assert [p.name for p in benchmark.entries[0].images] == [
+        f"IMG_{i}.PNG" for i in range(8, 13)
+    ]
+    inside, normals = data.sphere(20, 20)
+    expected = inside if mask else normals.any(-1)
+    np.testing.assert_array_equal(item.mask, expected)
+    single = open_benchmark("folder", tmp_path / "shoe")
+    assert len(single) == 1 and single[0].images.shape[1:3] == (20, 21)
+
+
+def test_plain_folder_with_exr_truth_and_grey_photographs(tmp_path):
+    mask, normals = data.sphere(9, 11)
+    for i in range(3):
+        data.write_image(tmp_path / f"{i}.tif", np.full((9, 11), i + 1, np.uint8))
+    pixels = np.ascontiguousarray(normals, np.float32)
+    header = {"type": OpenEXR.scanlineimage}
+    channels = {"RGB": OpenEXR.Channel("RGB", pixels)}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(tmp_path / "Normal_gt.exr"))
+    item = open_benchmark("folder", tmp_path)[0]
+    inside = normals.any(-1)
+    np.testing.assert_array_equal(item.mask, inside)
+    np.testing.assert_array_equal(item.normals[inside], pixels[inside])
+    assert item.images.shape == (3, 9, 11, 3) and (item.images[2] == 3).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "photograph"),
+    [
+        *(("L_00.png", True), ("000.tif", True), ("IMG_1.JPG", True)),
+        *(("maskot_1.png", True), ("normandy.jpg", True), ("metallic_ball.png", False)),
+        *(("normal.tif", False), ("Normal_gt.png", False), ("mask.png", False)),
+        *(("buddha.mask.png", False), ("depth.exr", False), ("baseColor.tif", False)),
+        *(("roughness.tif", False), ("metal.tif", False), ("gt_normal.png", False)),
+        *(("._L_00.png", False), ("notes.txt", False), ("scene_gt.png", False)),
+    ],
+)
+def test_what_is_a_photograph(tmp_path, name, photograph):
+    assert is_photograph(tmp_path / name) is photograph
+
+
+def test_fingerprint_follows_the_data_and_not_the_place(tmp_path):
+    first = data.make_folder(tmp_path / "a")
+    data.make_folder(tmp_path / "b")
+    benchmark = open_benchmark("folder", first)
+    before = benchmark.check(0)
+    assert before == open_benchmark("folder", tmp_path / "b").check(0)
+    assert before != benchmark.check(1)
+    image = benchmark[0].images[1].copy()
+    image[3, 4, 1] ^= 1
+    data.write_image(first / "cup" / "IMG_9.PNG", image)
+    assert benchmark.check(0) != before
+
+
+def test_truth_facing_away_is_reported(tmp_path):
+    data.make_directional(tmp_path / "pmsData" / "catPNG", images=2)
+    path = tmp_path / "pmsData" / "catPNG" / "Normal_gt.mat"
+    truth = loadmat(path)["Normal_gt"]
+    savemat(path, {"Normal_gt": -truth})
+    (note,) = open_benchmark("diligent", tmp_path, objects=("cat",))[0].notes
+    assert "away from the viewer" in note
+
+
+def test_unknown_benchmark_and_missing_root(tmp_path):
+    with pytest.raises(InputError, match="no benchmark 'x'"):
+        open_benchmark("x", tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        open_benchmark("luces", tmp_path / "nowhere")
