@@ -15,6 +15,7 @@ from jax import Array, lax
 from scipy import ndimage
 
 from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.pixels import normal_map
 from unips_jax.baselines.variational_grid import forward, integrate, shift
 
 _DIRECT_SIZE = 96
@@ -142,12 +143,8 @@ def to_product_frame(normals: Array, mask: np.ndarray) -> np.ndarray:
         `[H, W, 3]`, float32, unit length (x right, y up, z to the viewer), zero
         outside the mask; (0, 0, 1) where the length was zero.
     """
-    field = np.moveaxis(np.asarray(normals, np.float32), 0, -1) * np.float32(
-        [1, -1, -1]
-    )
-    length = np.linalg.norm(field, axis=-1, keepdims=True)
-    field = np.where(length > 0, field / np.where(length > 0, length, 1), [0, 0, 1])
-    return np.where(mask[..., None], field, 0).astype(np.float32)
+    turned = np.moveaxis(np.asarray(normals), 0, -1)[mask] * np.array([1, -1, -1])
+    return normal_map(turned, mask)
 
 
 def hemisphere(*, volume: float | None = None) -> Method:
@@ -169,9 +166,10 @@ def hemisphere(*, volume: float | None = None) -> Method:
         lights: Lights | None = None,
         focal: float | None = None,
     ) -> np.ndarray:
-        mask = np.asarray(mask, bool)
+        del images, lights, focal
+        mask = np.asarray(mask) > 0
         if not mask.any():
-            raise Unsupported("hemisphere: the mask is empty; mark the object in it")
+            raise Unsupported("hemisphere: needs a mask of the object; it is empty")
         distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
         wanted = 2 * distance[mask].mean() if volume is None else volume
         height = balloon(jnp.asarray(mask), wanted)

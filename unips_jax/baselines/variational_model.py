@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from unips_jax.baselines.variational_grid import central, forward
+from unips_jax.baselines.variational_grid import central, forward, shift
 
 HUBER = 0.1  # where the albedo's smoothness turns from quadratic to linear
 CAUCHY = 1.0  # residual at which a measurement has half its weight
@@ -100,6 +100,31 @@ def raw_normals(depth: Array, problem: Problem) -> Array:
     linear = linear_normals(depth, problem)
     constant = jnp.where(problem.mask, problem.perspective - 1, -1.0)
     return linear.at[2].add(constant)
+
+
+def inner_normals(depth: Array, problem: Problem) -> Array:
+    """N(depth) with backward differences where forward ones would leave the mask.
+
+    `raw_normals` has depth 0 beyond the mask, which spoils its right and lower rim.
+
+    Args:
+        depth: `[H, W]`.
+        problem: gives mask and camera.
+
+    Returns:
+        `[3, H, W]`, not normalised; (0, 0, -1) outside the mask.
+    """
+    mask, slopes = problem.mask, []
+    steps = forward(depth, mask, closed=True)
+    for step, (rows, columns) in zip(steps, ((0, 1), (1, 0)), strict=True):
+        back = shift(step, -rows, -columns)
+        slopes.append(jnp.where(mask & ~shift(mask, rows, columns), back, step))
+    right, down = slopes
+    inside = jnp.where(mask, depth, 0.0)
+    along = -(inside + problem.u * right + problem.v * down)
+    last = problem.perspective * along + problem.perspective - 1
+    normals = jnp.stack([problem.focal * right, problem.focal * down, last])
+    return jnp.where(mask, normals, jnp.array([0.0, 0.0, -1.0])[:, None, None])
 
 
 def length_of(normals: Array) -> Array:
