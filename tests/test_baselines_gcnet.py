@@ -17,6 +17,8 @@ from unips_jax.baselines import gcnet_model as model
 from unips_jax.baselines.method import Lights, Unsupported
 from unips_jax.command import InputError
 
+soft_lights = jax.jit(gcnet_lights.soft_lights)
+
 LOOSE = 1e-4  # logits, features and normals
 TIGHT = 1e-5  # lights
 
@@ -80,7 +82,7 @@ def assert_close(found, expected, tolerance, name):
 
 def assert_stages_match(stages, golden, case):
     for net, logits in (("L1", stages.first), ("L2", stages.second)):
-        directions, intensities = gcnet_lights.soft_lights(logits)
+        directions, intensities = soft_lights(logits)
         features = channels_last(golden[f"{case}_{net}_feat"])
         assert_close(logits.features, features, LOOSE, f"{case}_{net}_feat")
         for name, found, tolerance in (
@@ -118,7 +120,7 @@ def test_case_b_resizes_and_ends_in_native_normals(golden, params):
     images, mask = unpacked(golden, "b")
     stages = run(params["gcnet"], *resized(images, mask))
     assert_stages_match(stages, golden, "b")
-    directions, intensities = gcnet_lights.soft_lights(stages.second)
+    directions, intensities = soft_lights(stages.second)
     expected = channels_last(golden["b_final_normal"])
     for b in range(2):
         found = gcnet._normals(
@@ -152,7 +154,7 @@ def test_case_e_every_stage(golden, params):
     images, mask = unpacked(golden, "e")
     stages = run(params["gcnet"], images, mask)
     assert_stages_match(stages, golden, "e")
-    x = model.with_lights(images, *gcnet_lights.soft_lights(stages.first))
+    x = model.with_lights(images, *soft_lights(stages.first))
     coarse = params["gcnet"]["coarse"]
     extract = functools.partial(model.normal_net_of(coarse).apply, method="extract")
     features = jax.jit(extract)({"params": coarse}, x).max(1)
@@ -162,15 +164,17 @@ def test_case_e_every_stage(golden, params):
 
 def test_case_f_classes(golden):
     """Values on a class's edge may fall to either side."""
-    azimuth, elevation, _ = gcnet_lights.encode(golden["f_dirs"], np.ones(70))
-    intensity = gcnet_lights.encode(np.array([0.0, 0, 1]), golden["f_ints"])[2]
+    encode = jax.jit(gcnet_lights.encode)
+    azimuth, elevation, _ = encode(golden["f_dirs"], np.ones(70))
+    intensity = encode(np.array([0.0, 0, 1]), golden["f_ints"])[2]
     for found, name in ((azimuth, "x"), (elevation, "y"), (intensity, "i")):
         off = np.abs(np.asarray(found) - golden[f"f_cls_{name}"])
         assert off.max() <= 1
         assert (off == 0).mean() > 0.9
-    directions, _ = gcnet_lights.decode(golden["f_cls_x"], golden["f_cls_y"], 0)
+    decode = jax.jit(gcnet_lights.decode)
+    directions, _ = decode(golden["f_cls_x"], golden["f_cls_y"], 0)
     assert_close(directions, golden["f_dirs_back"], TIGHT, "f_dirs_back")
-    _, back = gcnet_lights.decode(0, 0, golden["f_cls_i"])
+    _, back = decode(0, 0, golden["f_cls_i"])
     assert_close(back[:, 0], golden["f_ints_back"], TIGHT, "f_ints_back")
 
 
