@@ -83,7 +83,7 @@ def robust_l1(*, iterations: int = 50) -> Method:
     return _method("robust_l1", solve, "luma")
 
 
-def sparse_bayesian(*, iterations: int = 100) -> Method:
+def sparse_bayesian(*, iterations: int = 50) -> Method:
     """Sparse Bayesian regression (Ikehata et al., CVPR 2012).
 
     Every value's error has its own variance, estimated with the normal. Each pixel's
@@ -271,9 +271,8 @@ def _sparse_bayesian(values: Array, directions: Array, *, iterations: int) -> Ar
     def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
         variance = state[0]
         vector = _solve_weighted(values, directions, 1 / variance, ridge=1e-6)
-        gram = directions.T @ (directions / variance[:, None])
-        covariance = _inverse(gram + jnp.eye(3))
-        spread = jnp.sum(directions @ covariance * directions, axis=-1)
+        covariance = _inverse(_gram(directions, 1 / variance) + jnp.eye(3))
+        spread = _squares(directions) @ covariance.reshape(9)
         residual = values - directions @ vector
         return jnp.maximum(residual**2 + spread, 1e-8), vector
 
@@ -285,9 +284,18 @@ def _solve_weighted(
     values: Array, directions: Array, weights: Array, *, ridge: float = 0.0
 ) -> Array:
     """Weighted least squares of one pixel, `[N]`, `[N, 3]`, `[N]` -> `[3]`."""
-    weighted = directions * weights[:, None]
-    inverse = _inverse(weighted.T @ directions + ridge * jnp.eye(3))
-    return inverse @ (values @ weighted)
+    inverse = _inverse(_gram(directions, weights) + ridge * jnp.eye(3))
+    return jnp.sum(inverse * ((weights * values) @ directions), axis=-1)
+
+
+def _gram(directions: Array, weights: Array) -> Array:
+    """`L^T W L`, `[3, 3]`; over many pixels this is one matrix product."""
+    return (weights @ _squares(directions)).reshape(3, 3)
+
+
+def _squares(directions: Array) -> Array:
+    """Every direction times its transpose, `[N, 9]`."""
+    return (directions[:, :, None] * directions[:, None, :]).reshape(-1, 9)
 
 
 def _inverse(matrix: Array) -> Array:
