@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from unips_jax.baselines import calibrated, pixels
+from unips_jax.baselines import calibrated, constant, pixels
 from unips_jax.baselines.method import Lights, Unsupported
 from unips_jax.metrics import mean_angular_error_deg
 
@@ -178,9 +178,19 @@ def test_split_recovers_a_planted_low_rank_matrix():
     rng = np.random.default_rng(0)
     low = rng.standard_normal((200, 2)) @ rng.standard_normal((2, 80))
     sparse = np.where(rng.uniform(size=low.shape) < 0.05, 5.0, 0.0)
-    found, rest = calibrated.split_low_rank(low + sparse, tolerance=1e-9)
+    found, rest = calibrated.split_low_rank(low + sparse)
     np.testing.assert_allclose(found, low, atol=1e-4)
     np.testing.assert_allclose(rest, sparse, atol=1e-4)
+
+
+def test_constant_faces_the_viewer():
+    normals, mask, albedo = cap(16)
+    images = render(normals, albedo, lights_around(1))
+    predicted = constant.constant()(images, mask)
+    np.testing.assert_array_equal(predicted[mask], [[0, 0, 1]] * mask.sum())
+    assert (predicted[~mask] == 0).all()
+    with pytest.raises(Unsupported, match="mask of the object"):
+        constant.constant()(images, mask & False)
 
 
 def test_refusals():
