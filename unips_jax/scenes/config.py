@@ -1,0 +1,98 @@
+"""What scenes are drawn from: the mixture of shapes, materials, lights and cameras."""
+
+import dataclasses
+
+LIGHT_KINDS = ("directional", "environment", "mixed", "point", "area")
+SHAPE_KINDS = ("blob", "composition", "machine", "lathe", "thin", "relief", "plate")
+MATERIALS = (
+    *("fabric", "concrete", "wood", "floor", "ground", "metal"),
+    *("uniform", "dark", "glossy", "painted_metal"),
+)
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ValueError(message)
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneConfig:
+    """Distribution of scenes.
+
+    Attributes:
+        light_weights: relative frequency of each of `LIGHT_KINDS`.
+        shape_weights: relative frequency of each of `SHAPE_KINDS`. Reliefs and plates
+            are exempt from the entropy test (they rarely pass it), so their share
+            is the share of exempt scenes.
+        material_weights: relative frequency of each of `MATERIALS`.
+        perspective_rate: share of perspective cameras; the rest are orthographic.
+        focal_range_mm: 35 mm equivalents of perspective cameras before the frame is
+            cropped to the object, which multiplies them by about 1.3.
+        rotation_candidates: rotations tried for one shape; the first whose normals
+            have an entropy above `min_entropy_bits` is taken.
+        min_entropy_bits: see `geometry.normal_entropy_bits`.
+        num_directions: directions in which visibility is tabulated for environments.
+        interreflection: one bounce from the object's own mean radiance where the
+            environment is hidden.
+        sensor: whether the camera adds noise, response, quantisation, blur and mask
+            errors; without it images are linear radiances scaled by the exposure.
+        linear_rate: share of scenes whose response curve is linear.
+        noise_rate: share of scenes with visible sensor noise.
+        blur_rate: share of scenes that are slightly blurred.
+        mask_error_rate: share of scenes whose mask lost some of its border.
+    """
+
+    light_weights: tuple[float, ...] = (0.3, 0.25, 0.25, 0.1, 0.1)
+    shape_weights: tuple[float, ...] = (0.17, 0.25, 0.16, 0.1, 0.08, 0.14, 0.1)
+    material_weights: tuple[float, ...] = (
+        *(0.12, 0.1, 0.1, 0.09, 0.09, 0.13),
+        *(0.14, 0.06, 0.1, 0.07),
+    )
+    perspective_rate: float = 0.5
+    focal_range_mm: tuple[float, float] = (12.0, 150.0)
+    rotation_candidates: int = 3
+    min_entropy_bits: float = 4.0
+    num_directions: int = 32
+    interreflection: bool = True
+    sensor: bool = True
+    linear_rate: float = 0.6
+    noise_rate: float = 0.6
+    blur_rate: float = 0.3
+    mask_error_rate: float = 0.15
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        for name, kinds in (
+            ("light_weights", LIGHT_KINDS),
+            ("shape_weights", SHAPE_KINDS),
+            ("material_weights", MATERIALS),
+        ):
+            weights = getattr(self, name)
+            _require(
+                len(weights) == len(kinds) and min(weights) >= 0 and sum(weights) > 0,
+                f"{name}: expected {len(kinds)} weights >= 0, not all zero, one for "
+                f"each of {kinds}, got {weights}",
+            )
+        for name in (
+            *("perspective_rate", "linear_rate", "noise_rate", "blur_rate"),
+            "mask_error_rate",
+        ):
+            rate = getattr(self, name)
+            _require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")
+        low, high = self.focal_range_mm
+        _require(
+            0 < low <= high,
+            f"focal_range_mm: expected 0 < low <= high, got {self.focal_range_mm}",
+        )
+        _require(
+            self.rotation_candidates >= 1,
+            f"rotation_candidates: expected at least 1, got {self.rotation_candidates}",
+        )
+        _require(
+            self.num_directions >= 8,
+            f"num_directions: expected at least 8, got {self.num_directions}",
+        )

@@ -1,0 +1,475 @@
+"""Geometry of a scene: camera, visible surface, normals, visibility of the sky.
+
+World and camera axes agree: x right, y up, z towards the viewer. The object fits
+into the unit sphere at the origin. Rays are sphere-traced through the signed
+distance; normals are its derivative on the surface with all detail.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax.scenes.config import SceneConfig
+from unips_jax.scenes.draws import Draws, rotation_about
+from unips_jax.scenes.noise import Point, dot, normalize, rotate
+from unips_jax.scenes.sdf import Shape, detail, distance, surface
+from unips_jax.scenes.shapes import draw_shape, is_flat
+
+CANDIDATE_SIZE = 20
+SKY_STRIDE = 4
+_HISTOGRAM_BINS = 16
+
+
+class Camera(NamedTuple):
+    """A camera on the z axis, looking down, and the window its frame shows.
+
+    Attributes:
+        perspective: 1 for a perspective camera, 0 for an orthographic one.
+        distance: from the origin; infinite in effect for an orthographic camera.
+        window: `[3]`, centre x, y and half size of the frame on the plane z = 0.
+    """
+
+    perspective: Array
+    distance: Array
+    window: Array
+
+
+class Geometry(NamedTuple):
+    """What does not depend on materials, lights and sensor.
+
+    Attributes:
+        mask: `[H, W]` bool.
+        normals: `[H, W, 3]`, unit inside the mask, zero outside.
+        positions: `[H, W, 3]` in the world; meaningless outside the mask.
+        view: `[H, W, 3]`, unit, towards the viewer.
+        height: `[H, W]`, the fine relief in units of its amplitude, about [-1, 1].
+        directions: `[D, 3]`, unit, where visibility is tabulated.
+        visibility: `[D, H, W]` in [0, 1].
+        shape: the object, for shadow rays.
+        to_object: `[3, 3]`, world to the object's frame, apart from its centre.
+        camera: the camera.
+        focal: 35 mm equivalent of the frame in mm; 0 for orthographic cameras.
+        entropy: of the normals, in bits.
+    """
+
+    mask: Array
+    normals: Array
+    positions: Array
+    view: Array
+    height: Array
+    directions: Array
+    visibility: Array
+    shape: Shape
+    to_object: Array
+    camera: Camera
+    focal: Array
+    entropy: Array
+
+
+def object_point(shape: Shape, to_object: Array, point: Point) -> Point:
+    """A world point in the object's frame."""
+    x, y, z = rotate(to_object, point)
+    return x + shape.center[0], y + shape.center[1], z + shape.center[2]
+
+
+def world_distance(shape: Shape, to_object: Array, point: Point) -> Array:
+    """Signed distance without detail, in world units."""
+    return distance(shape, object_point(shape, to_object, point)) / shape.radius
+
+
+def pixel_grid(size: int) -> tuple[Array, Array]:
+    """Frame coordinates of pixel centres: u right, v up, in (-1, 1), `[size, size]`."""
+    centers = (2 * jnp.arange(size, dtype=jnp.float32) + 1) / size - 1
+    return jnp.meshgrid(centers, -centers)
+
+
+def camera_rays(camera: Camera, u: Array, v: Array) -> tuple[Point, Point]:
+    """Origins and unit directions of the rays through frame coordinates."""
+    x = camera.window[0] + camera.window[2] * u
+    y = camera.window[1] + camera.window[2] * v
+    p = camera.perspective
+    z = jnp.full_like(x, 1.5) + p * (camera.distance - 1.5)
+    origin = ((1 - p) * x, (1 - p) * y, z)
+    depth = jnp.full_like(x, -1.0) * (1 + p * (camera.distance - 1))
+    return origin, normalize((p * x, p * y, depth))
+
+
+def along(origin: Point, direction: Point, t: Array) -> Point:
+    """Points origin + t direction."""
+    x, y, z = (o + t * d for o, d in zip(origin, direction, strict=True))
+    return x, y, z
+
+
+def _sphere_interval(origin: Point, direction: Point) -> tuple[Array, Array]:
+    middle = -dot(origin, direction)
+    half = jnp.sqrt(jnp.maximum(middle**2 - dot(origin, origin) + 1, 0.0))
+    return middle - half, middle + half
+
+
+def _trace(
+    shape: Shape,
+    to_object: Array,
+    rays: tuple[Point, Point],
+    start: Array,
+    *,
+    steps: int,
+    cone: Array | float = 0.0,
+) -> Array:
+    """Marches along rays; with a cone, stops where the surface enters it."""
+    _, far = _sphere_interval(*rays)
+
+    def step(_: int, t: Array) -> Array:
+        d = world_distance(shape, to_object, along(*rays, t))
+        return jnp.minimum(t + jnp.maximum(d - cone, 0.0), far)
+
+    return jax.lax.fori_loop(0, steps, step, start)
+
+
+def _gradient(function, point: Point) -> Point:
+    """Derivative of a field, forward: the fields are loops, dear to reverse."""
+    shape = point[0].shape
+    tangents = jnp.broadcast_to(jnp.eye(3)[:, :, None, None], (3, 3, *shape))
+    directional = jax.vmap(lambda t: jax.jvp(function, (point,), (tuple(t),))[1])
+    x, y, z = directional(tangents)
+    return x, y, z
+
+
+def normal_entropy_bits(normals: Array, mask: Array) -> Array:
+    """Shannon entropy of a normal map.
+
+    The histogram has 16 x 16 bins over (n_x, n_y) in [-1, 1]^2 (the visible
+    hemisphere seen from the front); every masked pixel counts once. A sphere that
+    fills a 24 x 24 frame has about 7.3 bits, a plane 0.
+
+    Source: UniPS (Ikehata, CVPR 2022), Sec. 3, which keeps objects above 4 without
+    saying how the histogram is made.
+
+    Args:
+        normals: `[..., 3]`, unit.
+        mask: `[...]`.
+
+    Returns:
+        Bits, a scalar; 0 for an empty mask.
+    """
+    bins = jnp.arange(_HISTOGRAM_BINS)
+    index = jnp.floor((normals[..., :2].reshape(-1, 2) + 1) * (_HISTOGRAM_BINS / 2))
+    index = jnp.clip(index, 0, _HISTOGRAM_BINS - 1)
+    one_hot = (index[..., None] == bins).astype(jnp.float32)  # [P, 2, bins]
+    weight = mask.reshape(-1, 1).astype(jnp.float32)
+    counts = (one_hot[:, 0] * weight).T @ one_hot[:, 1]
+    p = counts / jnp.maximum(jnp.sum(weight), 1.0)
+    return -jnp.sum(jnp.where(p > 0, p * jnp.log2(jnp.maximum(p, 1e-12)), 0.0))
+
+
+def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array]:
+    """A small view of a candidate: entropy and the frame around its silhouette."""
+    to_object = shape.radius * pose.T
+    u, v = pixel_grid(CANDIDATE_SIZE)
+    rays = camera_rays(camera, u, v)
+    near, _ = _sphere_interval(*rays)
+    t = _trace(shape, to_object, rays, near, steps=10)
+    point = along(*rays, t)
+    hit = world_distance(shape, to_object, point) < 0.7 / CANDIDATE_SIZE
+    gradient = _gradient(lambda p: world_distance(shape, to_object, p), point)
+    normals = jnp.stack(normalize(gradient), -1)
+    margin = 0.7 / CANDIDATE_SIZE
+    bounds = [
+        (jnp.min(jnp.where(hit, c, 1.0)), jnp.max(jnp.where(hit, c, -1.0)))
+        for c in (u, v)
+    ]
+    (left, right), (low, high) = bounds
+    half = 0.5 * jnp.maximum(right - left, high - low) + margin
+    frame = jnp.stack([0.5 * (left + right), 0.5 * (low + high), half])
+    empty = ~jnp.any(hit)
+    frame = jnp.where(empty, jnp.asarray([0.0, 0.0, 1.0]), frame)
+    return normal_entropy_bits(normals, hit), frame
+
+
+def _draw_camera(draws: Draws, config: SceneConfig, perspective: Array) -> Camera:
+    focal = draws.log_uniform(*config.focal_range_mm)
+    return Camera(
+        perspective=perspective.astype(jnp.float32),
+        distance=jnp.sqrt(1 + (focal / 18) ** 2),
+        window=jnp.asarray([0.0, 0.0, 1.0]),
+    )
+
+
+def _pose_and_frame(
+    draws: Draws, config: SceneConfig, shape: Shape, camera: Camera
+) -> tuple[Array, Camera, Array]:
+    """Draws rotations, takes the first of sufficient entropy, crops the frame."""
+    count = config.rotation_candidates
+    free = draws.rotation(count)
+    tilt = draws.uniform(-0.5, 0.5, 2, count)
+    spin = rotation_about(2, draws.uniform(-math.pi, math.pi, count))
+    facing = rotation_about(0, tilt[0]) @ rotation_about(1, tilt[1]) @ spin
+    flat = is_flat(shape.kind)
+    poses = jnp.where(flat, facing, free)
+    # Perspective frames are opened so that the unit sphere touches their edge.
+    reach = camera.distance / jnp.sqrt(jnp.maximum(camera.distance**2 - 1, 1e-3))
+    reach = jnp.where(camera.perspective > 0, reach, 1.0)
+    camera = camera._replace(window=jnp.stack([0.0, 0.0, 1.0]) * reach)
+    entropy, frames = jax.vmap(lambda pose: _look(shape, camera, pose))(poses)
+    good = (entropy > config.min_entropy_bits) | flat
+    chosen = jnp.where(jnp.any(good), jnp.argmax(good), jnp.argmax(entropy))
+    one_hot = (jnp.arange(count) == chosen).astype(jnp.float32)
+    pose = jnp.einsum("k,kij->ij", one_hot, poses)
+    frame = one_hot @ frames
+    fills = flat & draws.chance(0.75)
+    margin = draws.uniform(1.0, 1.08)
+    zoom = jnp.where(fills, draws.uniform(0.35, 0.6), margin)
+    frame = frame * reach * jnp.stack([1.0, 1.0, zoom])
+    return pose, camera._replace(window=frame), one_hot @ entropy
+
+
+def clearance(
+    shape: Shape,
+    to_object: Array,
+    origin: Point,
+    direction: Point,
+    reach: Array | float,
+    *,
+    steps: int,
+    first: Array | float,
+) -> Array:
+    """Closest approach of rays to the object, relative to the distance travelled.
+
+    Negative where the ray enters the object; about the angle, in radians, by which
+    it clears it otherwise (I. Quilez's penumbra estimate).
+
+    Args:
+        shape: the object.
+        to_object: its pose.
+        origin: on the surface, already lifted off it.
+        direction: unit, towards the light.
+        reach: how far the light is.
+        steps: of the march.
+        first: length of the first step.
+    """
+    growth = 0.22
+    start = jnp.full(jnp.broadcast_shapes(origin[0].shape, direction[0].shape), first)
+
+    def step(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        t, closest = carry
+        d = world_distance(shape, to_object, along(origin, direction, t))
+        closest = jnp.minimum(closest, jnp.where(t < reach, d / t, 1e3))
+        return t + jnp.maximum(d, growth * t), closest
+
+    carry = (start, jnp.full_like(start, 1e3))
+    return jax.lax.fori_loop(0, steps, step, carry)[1]
+
+
+def soft_visibility(clearance: Array, cosine: Array, sharpness: Array | float) -> Array:
+    """How much of a disc of light is seen past the object, in [0, 1].
+
+    Args:
+        clearance: see the function of this name.
+        cosine: of the angle between normal and direction; an unoccluded plane has
+            this clearance and must not shade itself.
+        sharpness: reciprocal of the light's angular radius.
+    """
+    plane = jnp.minimum(sharpness * jnp.maximum(cosine, 0.02), 1.0)
+    return jnp.clip(sharpness * clearance / plane, 0.0, 1.0)
+
+
+def pick(values: Array, mask: Array, stride: int) -> Array:
+    """One masked pixel of each block, the most central; `[..., h, w]`.
+
+    Args:
+        values: `[..., H, W]`.
+        mask: `[H, W]`.
+        stride: side of the blocks.
+    """
+    h, w = mask.shape[0] // stride, mask.shape[1] // stride
+    offset = jnp.abs(jnp.arange(stride) - 0.5 * (stride - 1.1))
+    rank = 1 + stride - 0.5 * (offset[:, None] + offset) - 1e-3 * offset[:, None]
+    blocks = mask.reshape(h, stride, w, stride).transpose(0, 2, 1, 3)
+    score = rank * (0.01 + blocks.astype(jnp.float32))  # [h, w, s, s]
+    best = jnp.argmax(score.reshape(h, w, -1), -1)
+    one_hot = (best[..., None] == jnp.arange(stride**2)).astype(jnp.float32)
+    one_hot = one_hot.reshape(h, w, stride, stride)
+    tiles = values.reshape(*values.shape[:-2], h, stride, w, stride)
+    return jnp.einsum("...hiwj,hwij->...hw", tiles, one_hot)
+
+
+def _stretch(coarse: int, stride: int) -> Array:
+    """Bilinear enlargement as a matrix, `[coarse * stride, coarse]`."""
+    at = (jnp.arange(coarse * stride) + 0.5) / stride - 0.5
+    at = jnp.clip(at, 0, coarse - 1)
+    return jnp.maximum(1 - jnp.abs(at[:, None] - jnp.arange(coarse)), 0.0)
+
+
+def spread(values: Array, mask: Array, stride: int) -> Array:
+    """Enlarges what was computed at `pick`ed pixels, ignoring empty blocks.
+
+    Args:
+        values: `[..., h, w]`.
+        mask: `[H, W]`, full size.
+        stride: side of the blocks.
+    """
+    h, w = values.shape[-2:]
+    full = jnp.any(mask.reshape(h, stride, w, stride), axis=(1, 3))
+    weight = full.astype(jnp.float32) + 1e-6
+    rows, columns = _stretch(h, stride), _stretch(w, stride).T
+    return (rows @ (values * weight) @ columns) / (rows @ weight @ columns)
+
+
+def _basis_directions(draws: Draws, count: int) -> Array:
+    """Jittered spherical Fibonacci points over z > -0.8, `[count, 3]`."""
+    index = jnp.arange(count, dtype=jnp.float32)
+    z = 1 - 1.8 * (index + draws.uniform(0.2, 0.8, count)) / count
+    golden = math.pi * (3 - math.sqrt(5))
+    jitter = draws.uniform(-0.3, 0.3, count) / math.sqrt(count / 4)
+    angle = golden * index + jitter + draws.uniform(0.0, 2 * math.pi)
+    ring = jnp.sqrt(1 - z * z)
+    return jnp.stack([ring * jnp.cos(angle), ring * jnp.sin(angle), z], -1)
+
+
+def _sky_visibility(
+    shape: Shape, to_object: Array, points: Array, normals: Array, directions: Array
+) -> Array:
+    """Visibility in every basis direction, `[D, h, w]`; points `[3, h, w]`."""
+    sharpness = math.sqrt(directions.shape[0] / 1.8)
+    lifted = tuple((points + 0.03 * normals)[:, None])
+    towards = tuple(directions.T[..., None, None])
+    cosine = jnp.einsum("chw,dc->dhw", normals, directions)
+    clear = clearance(
+        *(shape, to_object, lifted, towards, 1e3),  # type: ignore[arg-type]
+        steps=6,
+        first=0.05,
+    )
+    return soft_visibility(clear, cosine, sharpness)
+
+
+def _visible_surface(
+    shape: Shape, to_object: Array, camera: Camera, size: int
+) -> tuple[Array, Point, Point, Point, Array]:
+    """Mask, points, normals, directions to the viewer and relief height."""
+    pixel = 2 * camera.window[2] / size
+    factor = 4
+    rays = camera_rays(camera, *pixel_grid(size // factor))
+    near, _ = _sphere_interval(*rays)
+    start = _trace(shape, to_object, rays, near, steps=12, cone=0.75 * factor * pixel)
+    start = jnp.repeat(jnp.repeat(start, factor, 0), factor, 1)
+    rays = camera_rays(camera, *pixel_grid(size))
+    near, _ = _sphere_interval(*rays)
+    start = jnp.maximum(start - 0.5 * factor * pixel, near)
+    t = _trace(shape, to_object, rays, start, steps=12)
+
+    def height(point: Point) -> Array:
+        return surface(shape, object_point(shape, to_object, point)) / shape.radius
+
+    t = jax.lax.fori_loop(0, 3, lambda _, t: t + 0.9 * height(along(*rays, t)), t)
+    point = along(*rays, t)
+    base = world_distance(shape, to_object, point)
+    base_gradient = _gradient(lambda p: world_distance(shape, to_object, p), point)
+
+    def relief(point: Point) -> Array:
+        return detail(shape, object_point(shape, to_object, point))
+
+    bump, pullback = jax.vjp(relief, point)
+    (bump_gradient,) = pullback(jnp.ones_like(bump))
+    share = shape.step_scale / shape.radius
+    value = base - share * bump
+    normal = normalize(along(base_gradient, bump_gradient, -share))
+    view = tuple(-c for c in rays[1])
+    away = jnp.minimum(dot(normal, view), 0.0)  # type: ignore[arg-type]
+    normal = normalize(along(normal, view, -away))  # type: ignore[arg-type]
+    mask = value < 0.5 * pixel
+    return mask, point, normal, view, bump  # type: ignore[return-value]
+
+
+def _resolve_detail(shape: Shape, camera: Camera, size: int) -> Shape:
+    """Keeps the finest cells wider than six pixels."""
+    limit = size / (2 * camera.window[2] * 6 * shape.radius)
+    frequency = jnp.minimum(shape.detail.frequency, limit)
+    return shape._replace(detail=shape.detail._replace(frequency=frequency))
+
+
+def render_geometry(
+    key: Array,
+    *,
+    size: int,
+    config: SceneConfig | None = None,
+    shape: Array | int | None = None,
+    camera: Array | int | None = None,
+) -> Geometry:
+    """Draws an object and a camera and finds what is visible: the expensive stage.
+
+    Args:
+        key: a random key.
+        size: side of the images in pixels, a multiple of 4.
+        config: the distribution of scenes.
+        shape: index into `SHAPE_KINDS` instead of a random one.
+        camera: 0 for an orthographic camera, 1 for a perspective one.
+
+    Raises:
+        ValueError: if `size` is not a multiple of 4.
+    """
+    config = config or SceneConfig()
+    if size <= 0 or size % 4:
+        raise ValueError(f"size: expected a positive multiple of 4, got {size}")
+    key_kind, key_shape, key_camera, key_basis = jax.random.split(key, 4)
+    draws = Draws(key_kind, 8)
+    kind = draws.choice(config.shape_weights) if shape is None else jnp.int32(shape)
+    perspective = draws.chance(config.perspective_rate)
+    perspective = perspective if camera is None else jnp.asarray(camera)
+    solid = draw_shape(key_shape, kind)
+    draws = Draws(key_camera, 16 + 8 * config.rotation_candidates)
+    view = _draw_camera(draws, config, perspective)
+    pose, view, entropy = _pose_and_frame(draws, config, solid, view)
+    return finish_geometry(
+        key_basis, solid, pose, view, size=size, config=config, entropy=entropy
+    )
+
+
+def finish_geometry(
+    key: Array,
+    shape: Shape,
+    pose: Array,
+    camera: Camera,
+    *,
+    size: int,
+    config: SceneConfig,
+    entropy: Array | float = 0.0,
+) -> Geometry:
+    """Finds what a camera sees of a given shape.
+
+    Args:
+        key: draws the directions of the visibility table.
+        shape: the object.
+        pose: `[3, 3]`, rotation from the object's frame to the world.
+        camera: the camera.
+        size: side of the images in pixels.
+        config: the distribution of scenes.
+        entropy: stored in the result.
+    """
+    to_object = shape.radius * pose.T
+    shape = _resolve_detail(shape, camera, size)
+    mask, point, normal, view, relief = _visible_surface(shape, to_object, camera, size)
+    directions = _basis_directions(Draws(key, 128), config.num_directions)
+    picked = pick(jnp.stack([*point, *normal]), mask, SKY_STRIDE)
+    coarse = _sky_visibility(shape, to_object, picked[:3], picked[3:], directions)
+    visibility = spread(coarse, mask, SKY_STRIDE)
+    normals = jnp.where(mask[..., None], jnp.stack(normal, -1), 0.0)
+    detail_ = shape.detail
+    amplitude = detail_.noise + detail_.groove + detail_.ridge + detail_.weave
+    amplitude = amplitude + jnp.abs(detail_.dimple) + 1e-6
+    focal = 18 * camera.distance / camera.window[2]
+    return Geometry(
+        mask=mask,
+        normals=normals,
+        positions=jnp.stack(point, -1),
+        view=jnp.stack(view, -1),
+        height=relief / amplitude,
+        directions=directions,
+        visibility=visibility,
+        shape=shape,
+        to_object=to_object,
+        camera=camera,
+        focal=jnp.where(camera.perspective > 0, focal, 0.0),
+        entropy=jnp.asarray(entropy, jnp.float32),
+    )

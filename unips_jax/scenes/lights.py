@@ -1,0 +1,235 @@
+"""Lights: one key light per image, and an environment turned anew for every image.
+
+An environment is a sky gradient plus rectangular lobes (windows, lamps, soft boxes,
+clouds). Its radiance can be asked for already blurred, which is all that rough
+reflections and a coarse set of basis directions need.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from unips_jax.scenes.draws import Draws, rotation_about
+from unips_jax.scenes.noise import Point, dot, rotate, sine
+
+NUM_LOBES = 8
+_DIRECTIONAL, _ENVIRONMENT, _MIXED, _POINT, _AREA = range(5)
+
+
+class KeyLights(NamedTuple):
+    """One light per image.
+
+    Attributes:
+        vector: `[N, 3]`, unit direction towards the light, or its position.
+        near: `[N]`, 1 where `vector` is a position.
+        radius: `[N]`, angular radius in radians, or radius where near.
+        color: `[N, 3]`, irradiance on a surface that faces the light; near lights:
+            at distance 1 from it.
+    """
+
+    vector: Array
+    near: Array
+    radius: Array
+    color: Array
+
+
+class Environment(NamedTuple):
+    """Distant surroundings.
+
+    Attributes:
+        rotation: `[N, 3, 3]`, world to the environment's frame (y up).
+        zenith, horizon, ground: `[3]`, radiance.
+        axes: `[S, 3, 3]`, rows: right, up and centre of each lobe.
+        half: `[S, 2]`, half extents in the lobe's tangent plane.
+        color: `[S, 3]`, radiance.
+        clutter: contrast of fine structure seen in reflections.
+        clutter_frequency: its cycles per unit of direction.
+        scale: `[N]`, brightness in each image.
+    """
+
+    rotation: Array
+    zenith: Array
+    horizon: Array
+    ground: Array
+    axes: Array
+    half: Array
+    color: Array
+    clutter: Array
+    clutter_frequency: Array
+    scale: Array
+
+
+def _smooth_step(x: Array) -> Array:
+    """From -0.5 to 0.5 with tails like GGX's."""
+    return 0.5 * x * lax.rsqrt(1 + x * x)
+
+
+def environment_radiance(
+    environment: Environment, rotation: Array, direction: Point, blur: Array
+) -> tuple[Array, Array, Array]:
+    """Radiance from a direction, averaged over a lobe around it.
+
+    Args:
+        environment: the surroundings.
+        rotation: `[3, 3]`, one image's.
+        direction: unit, in the world.
+        blur: about the lobe's standard deviation, radians.
+
+    Returns:
+        Red, green and blue.
+    """
+    d = rotate(rotation, direction)
+    up = d[1]
+    sky = 0.5 + _smooth_step(up / (0.08 + blur))
+    rise = jnp.clip(up, 0.0, 1.0) * (1 - 0.5 * blur)
+    colors = []
+    for c in range(3):
+        above = environment.horizon[c] + rise * (
+            environment.zenith[c] - environment.horizon[c]
+        )
+        colors.append(environment.ground[c] + sky * (above - environment.ground[c]))
+    inverse = 1 / (blur + 0.01)
+
+    def lobe(_: None, parameters: tuple[Array, Array]) -> tuple[None, Array]:
+        axes, half = parameters
+        x, y, z = rotate(axes, d)
+        inside = _smooth_step((x + half[0]) * inverse)
+        inside = inside - _smooth_step((x - half[0]) * inverse)
+        high = _smooth_step((y + half[1]) * inverse)
+        inside = inside * (high - _smooth_step((y - half[1]) * inverse))
+        return None, inside * (0.5 + _smooth_step(z * inverse))
+
+    # As a loop, so that the lobes are computed once and not per colour.
+    _, lobes = lax.scan(lobe, None, (environment.axes, environment.half))
+    light = jnp.einsum("sc,s...->c...", environment.color, lobes)
+    colors = [color + light[c] for c, color in enumerate(colors)]
+    f = environment.clutter_frequency
+    wave = sine(f * d[0] + 0.3 * sine(1.7 * f * d[1])) * sine(f * d[2] + 1.3 * f * d[1])
+    wave = wave + 0.5 * sine(2.3 * f * d[0] - 1.9 * f * d[2] + 0.2)
+    gain = 1 + environment.clutter * wave / (1 + (6 * f * blur) ** 2)
+    return colors[0] * gain, colors[1] * gain, colors[2] * gain
+
+
+def _warmth(draws: Draws, amount: float, *shape: int) -> Array:
+    """Colours along daylight to lamp light, `[*shape, 3]`, green 1."""
+    warm = draws.uniform(-1.0, 1.0, *shape)[..., None]
+    return jnp.exp(amount * warm * jnp.asarray([0.5, 0.0, -0.6]))
+
+
+def draw_environment(draws: Draws, num_images: int) -> Environment:
+    """Draws a sky, a room, a studio or a random mixture of lobes."""
+    kind = draws.choice([0.3, 0.3, 0.2, 0.2])
+    sky, room, studio = kind == 0, kind == 1, kind == 2
+    dim = draws.log_uniform(0.02, 0.25)
+    level = jnp.where(sky, 1.0, jnp.where(studio, 0.2 * dim, dim))
+    zenith = level * _warmth(draws, 0.7) * draws.uniform(0.5, 1.2)
+    zenith = zenith * jnp.where(sky, jnp.asarray([0.6, 0.8, 1.2]), 1.0)
+    horizon = level * _warmth(draws, 0.5) * draws.uniform(0.5, 1.5)
+    ground = level * _warmth(draws, 0.5) * draws.uniform(0.1, 0.6)
+    shape = (NUM_LOBES,)
+    center = draws.direction(*shape)
+    # Skies and rooms have most light above the horizon.
+    lifted = jnp.abs(center[:, 1]) * jnp.where(draws.chance(0.8, *shape), 1.0, -1.0)
+    y = jnp.where(sky | room, lifted, center[:, 1])
+    center = center.at[:, 1].set(y)
+    helper = jnp.where(jnp.abs(y)[:, None] > 0.9, jnp.eye(3)[0], jnp.eye(3)[1])
+    right = jnp.cross(helper, center)
+    right = right / jnp.linalg.norm(right, axis=-1, keepdims=True)
+    axes = jnp.stack([right, jnp.cross(center, right), center], -2)
+    small = draws.log_uniform(0.06, 0.4, NUM_LOBES, 2)
+    large = draws.log_uniform(0.15, 0.7, NUM_LOBES, 2)
+    half = jnp.where((sky | studio)[None, None], large, small)
+    used = draws.chance(jnp.where(studio, 0.5, 0.6), *shape).at[0].set(True)
+    power = draws.log_uniform(0.2, 3.0, *shape) * used
+    area = 4 * half[:, 0] * half[:, 1]
+    radiance = power / (area + 0.05) * jnp.where(sky, 0.4, 1.0)
+    color = radiance[:, None] * _warmth(draws, 0.7, *shape)
+    # Per image: any rotation for some scenes, for the others about the vertical only.
+    free = draws.rotation(num_images)
+    yaw = rotation_about(1, draws.uniform(-math.pi, math.pi, num_images))
+    tilt = rotation_about(0, draws.uniform(-0.6, 0.6))
+    rotation = jnp.where(draws.chance(0.4), free, yaw @ tilt)
+    return Environment(
+        rotation=rotation,
+        zenith=zenith,
+        horizon=horizon,
+        ground=ground,
+        axes=axes,
+        half=half,
+        color=color,
+        clutter=draws.uniform(0.0, 0.9),
+        clutter_frequency=draws.log_uniform(1.0, 5.0),
+        scale=jnp.exp(draws.uniform(-0.5, 0.5, num_images)),
+    )
+
+
+def _key_directions(draws: Draws, num_images: int) -> Array:
+    """Directions over a cap around the viewer whose width varies by scene."""
+    lowest = jnp.cos(draws.uniform(0.8, 1.65))
+    z = draws.uniform(lowest, 1.0, num_images)
+    angle = draws.uniform(0.0, 2 * math.pi, num_images)
+    ring = jnp.sqrt(1 - z * z)
+    return jnp.stack([ring * jnp.cos(angle), ring * jnp.sin(angle), z], -1)
+
+
+def draw_lights(
+    draws: Draws, kind: Array, num_images: int
+) -> tuple[KeyLights, Environment]:
+    """Draws one scene's lights.
+
+    Args:
+        draws: at least 110 + 20 N numbers.
+        kind: index into `LIGHT_KINDS`, int32 scalar.
+        num_images: N.
+
+    Returns:
+        Key lights and an environment; what the kind lacks has no brightness.
+    """
+    environment = draw_environment(draws, num_images)
+    direction = _key_directions(draws, num_images)
+    distance = draws.uniform(1.3, 3.0) * draws.uniform(0.8, 1.25, num_images)
+    near = (kind == _POINT) | (kind == _AREA)
+    area = kind == _AREA
+    anywhere = draws.direction(num_images)
+    from_sky = kind == _ENVIRONMENT
+    sun = draws.chance(0.5)
+    direction = jnp.where(from_sky, anywhere, direction)
+    vector = jnp.where(near, direction * distance[:, None], direction)
+    radius = jnp.where(area, draws.uniform(0.1, 0.6), 0.01)
+    radius = jnp.where(from_sky, draws.log_uniform(0.01, 0.2), radius)
+    brightness = jnp.exp(draws.uniform(-0.3, 0.3, num_images))
+    brightness = brightness * jnp.where(near, distance**2, 1.0)
+    key_share = jnp.where(from_sky, sun * draws.uniform(0.3, 2.0), 2.5)
+    fill = draws.chance(0.5) * draws.log_uniform(0.02, 0.3)
+    share = jnp.where(kind == _DIRECTIONAL, 0.0, jnp.where(near, fill, 1.0))
+    share = jnp.where(kind == _MIXED, draws.log_uniform(0.3, 1.5), share)
+    tint = _warmth(draws, 0.4, num_images) * _warmth(draws, 0.4)
+    color = tint * (brightness * key_share)[:, None]
+    ones = jnp.ones(num_images)
+    keys = KeyLights(vector, near * ones, radius * ones, color)
+    return keys, environment._replace(scale=environment.scale * share)
+
+
+def key_light_at(
+    vector: Array, near: Array, point: Point
+) -> tuple[Point, Array, Array]:
+    """Direction, distance and attenuation of one key light at points.
+
+    Args:
+        vector: `[3]`.
+        near: scalar.
+        point: in the world.
+
+    Returns:
+        Unit direction to the light, distance (huge where distant), and the factor
+        on the light's colour.
+    """
+    offset = tuple(vector[i] - near * point[i] for i in range(3))
+    squared = jnp.maximum(dot(offset, offset), 1e-4)  # type: ignore[arg-type]
+    inverse = 1 / jnp.sqrt(squared)
+    direction = tuple(c * inverse for c in offset)
+    reach = jnp.where(near > 0, squared * inverse, 1e3)
+    attenuation = jnp.where(near > 0, 1 / squared, 1.0)
+    return direction, reach, attenuation  # type: ignore[return-value]

@@ -1,0 +1,239 @@
+"""Materials: a subset of the Principled BSDF with solid procedural textures.
+
+Base colour, roughness and metallic vary over the surface. The reflectance is a
+diffuse lobe plus GGX with height-correlated Smith masking and Schlick's Fresnel; the
+diffuse lobe is weighted by what the specular one leaves over on both ways (Kelemen),
+which keeps the sum reciprocal and below one.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from unips_jax.scenes.draws import Draws
+from unips_jax.scenes.noise import Point, gradient_noise, rotate, sine
+
+DIELECTRIC_F0 = 0.04
+
+# Rows: MATERIALS. Columns: weight of noise, rings, tiles, weave, spots; scale low and
+# high; contrast; saturation; value low and high; roughness low and high; chance that
+# it is metallic; chance that chips of another kind show.
+_TRAITS = np.array(
+    [
+        [0.4, 0.0, 0.1, 0.7, 0.2, 2.0, 8.0, 0.5, 0.7, 0.05, 0.9, 0.6, 1.0, 0.0, 0.0],
+        [1.0, 0.0, 0.1, 0.0, 0.3, 1.0, 5.0, 0.35, 0.15, 0.2, 0.8, 0.5, 1.0, 0.0, 0.0],
+        [0.3, 1.0, 0.0, 0.0, 0.0, 0.6, 2.0, 0.5, 0.5, 0.1, 0.7, 0.25, 0.8, 0.0, 0.0],
+        [0.4, 0.2, 1.0, 0.0, 0.0, 1.0, 3.0, 0.6, 0.4, 0.1, 0.9, 0.1, 0.7, 0.0, 0.0],
+        [1.0, 0.1, 0.0, 0.0, 0.6, 1.0, 5.0, 0.7, 0.4, 0.05, 0.6, 0.6, 1.0, 0.0, 0.0],
+        [0.7, 0.2, 0.0, 0.1, 0.2, 0.8, 5.0, 0.25, 0.25, 0.4, 0.95, 0.12, 0.6, 1.0, 0.2],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 4.0, 0.0, 0.5, 0.2, 0.95, 0.2, 1.0, 0.0, 0.0],
+        [0.5, 0.0, 0.1, 0.1, 0.2, 1.0, 4.0, 0.3, 0.3, 0.01, 0.08, 0.1, 0.8, 0.0, 0.0],
+        [0.4, 0.1, 0.1, 0.0, 0.2, 0.6, 3.0, 0.4, 0.7, 0.05, 0.8, 0.06, 0.3, 0.0, 0.0],
+        [0.7, 0.0, 0.0, 0.0, 0.3, 0.8, 4.0, 0.2, 0.7, 0.1, 0.8, 0.15, 0.6, 0.0, 1.0],
+    ],
+    np.float32,
+)
+
+
+class Surface(NamedTuple):
+    """Reflectance at every pixel.
+
+    Attributes:
+        base_color: `[3, H, W]`, linear, in [0, 1].
+        roughness: `[H, W]`, perceptual (the square root of GGX's alpha).
+        metallic: `[H, W]`, in [0, 1].
+    """
+
+    base_color: Array
+    roughness: Array
+    metallic: Array
+
+
+def fresnel_f0(surface: Surface) -> Array:
+    """Reflectance at normal incidence, `[3, H, W]`."""
+    return DIELECTRIC_F0 + surface.metallic * (surface.base_color - DIELECTRIC_F0)
+
+
+def environment_brdf(cosine: Array, roughness: Array) -> tuple[Array, Array]:
+    """Directional albedo of GGX as F0 * a + b.
+
+    Source: Karis, Physically Based Shading on Mobile (2014), a fit of the split sum.
+
+    Args:
+        cosine: between normal and direction, in [0, 1].
+        roughness: perceptual.
+
+    Returns:
+        a and b.
+    """
+    r0, r1 = 1 - roughness, -0.0275 * roughness + 0.0425
+    r2, r3 = -0.572 * roughness + 1.04, 0.022 * roughness - 0.04
+    common = jnp.minimum(r0 * r0, jnp.exp2(-9.28 * cosine)) * r0 + r1
+    return -1.04 * common + r2, jnp.maximum(1.04 * common + r3, 0.0)
+
+
+def dielectric_albedo(cosine: Array, roughness: Array) -> Array:
+    """Share of light that the dielectric specular lobe reflects."""
+    a, b = environment_brdf(cosine, roughness)
+    return jnp.clip(DIELECTRIC_F0 * a + b, 0.0, 1.0)
+
+
+def mean_dielectric_albedo(roughness: Array) -> Array:
+    """Cosine-weighted mean of `dielectric_albedo` over the hemisphere (a fit)."""
+    return 0.1 - 0.04 * roughness
+
+
+def ggx(n_h: Array, n_l: Array, n_v: Array, alpha: Array) -> Array:
+    """Distribution times visibility, D G / (4 n_l n_v), height-correlated Smith.
+
+    Args:
+        n_h: cosine between normal and half vector.
+        n_l: cosine between normal and light.
+        n_v: cosine between normal and viewer.
+        alpha: GGX's width, roughness squared.
+
+    Returns:
+        In 1/sr, to be multiplied by Fresnel and n_l.
+    """
+    a2 = alpha * alpha
+    d = n_h * n_h * (a2 - 1) + 1
+    distribution = a2 / (math.pi * d * d + 1e-9)
+    light = n_v * jnp.sqrt(n_l * n_l * (1 - a2) + a2)
+    viewer = n_l * jnp.sqrt(n_v * n_v * (1 - a2) + a2)
+    return distribution * 0.5 / (light + viewer + 1e-6)
+
+
+def schlick(cosine: Array) -> Array:
+    """Schlick's weight of white: F = F0 + (1 - F0) * weight."""
+    m = jnp.clip(1 - cosine, 0.0, 1.0)
+    m2 = m * m
+    return m2 * m2 * m
+
+
+def reflectance(
+    diffuse: Array,
+    f0: Array,
+    roughness: Array,
+    alpha: Array,
+    *,
+    n_l: Array,
+    n_v: Array,
+    n_h: Array,
+    v_h: Array,
+) -> tuple[Array, Array, Array]:
+    """The two lobes' scalar factors, to be combined with colours.
+
+    f = diffuse * kd + (f0 + (1 - f0) * white) * ks.
+
+    Args:
+        diffuse: unused shape donor, any of the broadcast shape.
+        f0: unused likewise.
+        roughness: perceptual, for the diffuse lobe's weight.
+        alpha: GGX's width, possibly widened by the light's extent.
+        n_l: cosine between normal and light, in (0, 1].
+        n_v: cosine between normal and viewer, in (0, 1].
+        n_h: cosine between normal and half vector.
+        v_h: cosine between viewer and half vector.
+
+    Returns:
+        kd, ks in 1/sr and white.
+    """
+    del diffuse, f0
+    left = 1 - dielectric_albedo(n_l, roughness)
+    left = left * (1 - dielectric_albedo(n_v, roughness))
+    kd = left / ((1 - mean_dielectric_albedo(roughness)) * math.pi)
+    return kd, ggx(n_h, n_l, n_v, alpha), schlick(v_h)
+
+
+def _color(draws: Draws, value: Array, saturation: Array) -> Array:
+    """A colour of given luminance, `[3]`; saturation 0 is grey."""
+    hue = draws.unit()
+    phase = hue + jnp.asarray([0.0, 1 / 3, 2 / 3])
+    rgb = 1 + saturation * jnp.cos(2 * math.pi * phase)
+    rgb = rgb / (0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2])
+    return jnp.clip(value * rgb, 0.005, 0.97)
+
+
+def _pattern(
+    traits: Array, draws: Draws, seed: Array, point: Point
+) -> tuple[Array, Array]:
+    """Texture value in [0, 1] and a slow noise, both `[H, W]`."""
+    scale = draws.log_uniform(traits[5], traits[6])
+    x, y, z = (c * scale for c in rotate(draws.rotation(), point))
+    stretch = draws.uniform(1.0, 3.0)
+
+    def octave(total: Array, level: Array) -> tuple[Array, None]:
+        f = jnp.exp2(level)
+        shift = 7.3 * level
+        value = gradient_noise(
+            seed + level.astype(jnp.uint32),
+            (x * f + shift, y * f * stretch, z * f - shift),
+        )
+        return total + value / f, value
+
+    levels = jnp.arange(3, dtype=jnp.float32)
+    fractal, octaves = lax.scan(octave, jnp.zeros_like(x), levels)
+    slow = octaves[0]
+    ring = jnp.sqrt(x * x + z * z + 1e-6) * 3 + 0.6 * slow + 0.1 * y
+    rings = ring - jnp.floor(ring)
+    edge = jnp.maximum(
+        jnp.abs(x - jnp.round(x)),
+        jnp.maximum(jnp.abs(y - jnp.round(y)), jnp.abs(z - jnp.round(z))),
+    )
+    tiles = jnp.clip((edge - 0.42) * 20, 0.0, 1.0)
+    weave = 0.5 + 0.5 * sine(3 * x) * sine(3 * y + 0.25 * sine(z))
+    spots = jnp.clip(8 * (fractal - 0.15), 0.0, 1.0)
+    weights = traits[:5] * draws.uniform(0.3, 1.0, 5)
+    weights = weights / jnp.maximum(jnp.sum(weights), 1e-6)
+    parts = (jnp.clip(0.5 + fractal, 0.0, 1.0), rings, tiles, weave, spots)
+    value = sum(weights[i] * part for i, part in enumerate(parts))
+    return value, slow  # type: ignore[return-value]
+
+
+def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surface:
+    """Draws a material and evaluates it.
+
+    Args:
+        key: a random key.
+        kind: index into `MATERIALS`, int32 scalar.
+        point: in the object's frame, scaled to unit radius, each `[H, W]`.
+        height: `[H, W]`, the fine relief, about [-1, 1]; hollows may be darker.
+    """
+    key_draws, key_seed = jax.random.split(key)
+    draws = Draws(key_draws, 64)
+    traits = jnp.asarray(_TRAITS)[kind]
+    seed = jax.random.bits(key_seed, (), jnp.uint32) >> 1
+    value, slow = _pattern(traits, draws, seed, point)
+    level = draws.log_uniform(traits[9], traits[10])
+    contrast = traits[7] * draws.uniform(0.3, 1.2)
+    saturation = traits[8] * draws.uniform(0.0, 1.0, 2)
+    light = _color(draws, level, saturation[0])
+    second = level * jnp.maximum(1 - contrast, 0.1)
+    same_hue = draws.chance(0.6)
+    other = _color(draws, second, saturation[1])
+    dark = jnp.where(same_hue, light * second / level, other)
+    metal_tints = jnp.asarray([[1.0, 1, 1], [1, 0.8, 0.45], [1, 0.7, 0.55]])
+    tint = metal_tints[draws.choice([0.6, 0.2, 0.2])]
+    metal = tint * draws.uniform(0.45, 0.95)
+    is_metal = draws.chance(traits[13])
+    light = jnp.where(is_metal, metal, light)
+    dark = jnp.where(is_metal, metal * (1 - 0.6 * contrast), dark)
+    hollow = jnp.clip(-height, 0.0, 1.0) * draws.uniform(-0.3, 0.8)
+    mix = jnp.clip(value + hollow, 0.0, 1.0)
+    color = light[:, None, None] + mix * (dark - light)[:, None, None]
+    low, high = traits[11], traits[12]
+    rough = draws.uniform(low, high) + draws.uniform(-0.3, 0.3) * contrast * mix
+    metallic = jnp.full_like(mix, 1.0) * is_metal
+    # Chips: bare metal under paint, or rust on metal.
+    chip = draws.chance(traits[14] * 0.7)
+    threshold = draws.uniform(0.1, 0.5)
+    chipped = jnp.clip((slow + 0.3 * value - threshold) * 15, 0.0, 1.0) * chip
+    bare = jnp.where(is_metal, jnp.asarray([0.25, 0.12, 0.06]), metal)
+    color = color + chipped * (bare[:, None, None] - color)
+    metallic = metallic + chipped * (1 - 2 * metallic)
+    rough = rough + chipped * (draws.uniform(0.3, 0.9) - rough)
+    return Surface(color, jnp.clip(rough, 0.06, 1.0), metallic)

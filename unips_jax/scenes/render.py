@@ -1,0 +1,367 @@
+"""Shades a geometry under drawn materials and lights, and records it.
+
+Every image is lit by one key light (directional, near or the sun), whose shadow rays
+are marched for each pixel, and by an environment, whose diffuse part is a matrix
+product of the tabulated visibility times cosine with the radiance in the table's
+directions; its glossy part is the radiance around the mirror direction, already
+blurred, times the visibility there. Where the environment is hidden, the object's
+own mean radiance takes its place: one bounce, roughly.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax.scenes.config import SceneConfig
+from unips_jax.scenes.draws import Draws
+from unips_jax.scenes.geometry import (
+    Geometry,
+    clearance,
+    object_point,
+    pick,
+    render_geometry,
+    soft_visibility,
+    spread,
+)
+from unips_jax.scenes.lights import (
+    Environment,
+    KeyLights,
+    draw_lights,
+    environment_radiance,
+    key_light_at,
+)
+from unips_jax.scenes.materials import (
+    Surface,
+    draw_surface,
+    environment_brdf,
+    fresnel_f0,
+    ggx,
+    reflectance,
+    schlick,
+)
+from unips_jax.scenes.noise import Point, dot, normalize
+from unips_jax.scenes.sensor import record
+
+__all__ = ["Scene", "ggx", "render_batch", "render_scene", "schlick", "shade"]
+
+
+KEY_STRIDE = 2
+
+
+class Scene(NamedTuple):
+    """One object under N lights.
+
+    Attributes:
+        images: `[N, H, W, 3]` float32 in [0, 1] as the camera recorded them, linear
+            or not, zero outside the mask.
+        mask: `[H, W]` bool.
+        normals: `[H, W, 3]` float32, x right, y up, z to the viewer, unit inside the
+            mask, zero outside.
+        light_kind: index into `LIGHT_KINDS`.
+        shape_kind: index into `SHAPE_KINDS`.
+        material: index into `MATERIALS`.
+        focal: 35 mm equivalent in mm; 0 for orthographic cameras.
+        light_directions: `[N, 3]`, unit, of directional scenes, else zero.
+        light_intensities: `[N, 3]` likewise.
+    """
+
+    images: Array
+    mask: Array
+    normals: Array
+    light_kind: Array
+    shape_kind: Array
+    material: Array
+    focal: Array
+    light_directions: Array
+    light_intensities: Array
+
+
+def _split(vectors: Array) -> Point:
+    return vectors[..., 0], vectors[..., 1], vectors[..., 2]
+
+
+def key_clearance(
+    geometry: Geometry, vector: Array, near: Array, *, steps: int = 12
+) -> Array:
+    """Clearance of the rays to a key light, `[H, W]`.
+
+    Marched for every second pixel and interpolated: it is continuous across the
+    edges of shadows, which stay sharp when it is compared with zero afterwards.
+    """
+    mask = geometry.mask
+    fields = jnp.concatenate([geometry.positions, geometry.normals], -1)
+    picked = pick(jnp.moveaxis(fields, -1, 0), mask, KEY_STRIDE)
+    pixel = 2 * geometry.camera.window[2] / mask.shape[0]
+    points = tuple(picked[:3])
+    light, reach, _ = key_light_at(vector, near, points)  # type: ignore[arg-type]
+    origin = tuple(picked[:3] + (0.01 + 0.75 * pixel) * picked[3:])
+    clear = clearance(
+        *(geometry.shape, geometry.to_object, origin, light, reach),  # type: ignore[arg-type]
+        steps=steps,
+        first=0.02,
+    )
+    return spread(jnp.clip(clear, -0.5, 0.5), mask, KEY_STRIDE)
+
+
+def shade_key_light(
+    geometry: Geometry,
+    surface: Surface,
+    vector: Array,
+    near: Array,
+    radius: Array,
+    *,
+    steps: int = 12,
+) -> Array:
+    """Radiance under one key light of unit white colour, `[3, H, W]`."""
+    point, normal = _split(geometry.positions), _split(geometry.normals)
+    view = _split(geometry.view)
+    light, _, attenuation = key_light_at(vector, near, point)
+    n_l, n_v = dot(normal, light), jnp.maximum(dot(normal, view), 0.02)
+    lit = jnp.maximum(n_l, 0.0)
+    size = jnp.where(near > 0, radius * jnp.sqrt(attenuation), radius)
+    sharpness = 1 / jnp.maximum(size, 0.02)
+    seen = soft_visibility(
+        key_clearance(geometry, vector, near, steps=steps), n_l, sharpness
+    )
+    half = normalize((light[0] + view[0], light[1] + view[1], light[2] + view[2]))
+    alpha = jnp.minimum(surface.roughness**2 + 0.4 * jnp.minimum(size, 1.0), 1.0)
+    kd, ks, white = reflectance(
+        surface.metallic,
+        surface.metallic,
+        surface.roughness,
+        alpha,
+        n_l=jnp.maximum(n_l, 1e-3),
+        n_v=n_v,
+        n_h=jnp.maximum(dot(normal, half), 0.0),
+        v_h=jnp.maximum(dot(view, half), 0.0),
+    )
+    f0 = fresnel_f0(surface)
+    diffuse = surface.base_color * (1 - surface.metallic)
+    brdf = diffuse * kd + (f0 + (1 - f0) * white) * ks
+    return brdf * (lit * seen * attenuation)
+
+
+def shade_environment(
+    geometry: Geometry,
+    surface: Surface,
+    environment: Environment,
+    bounce: Array,
+) -> Array:
+    """Radiance under the environment in all its rotations.
+
+    Args:
+        geometry: the object.
+        surface: its reflectance.
+        environment: N rotations of it.
+        bounce: `[N, 3]`, the object's mean radiance, seen where the environment is
+            hidden.
+
+    Returns:
+        `[N, 3, H, W]`.
+    """
+    normal, view = _split(geometry.normals), _split(geometry.view)
+    n_v = jnp.maximum(dot(normal, view), 0.02)
+    a, b = environment_brdf(n_v, surface.roughness)
+    f0 = fresnel_f0(surface)
+    specular = f0 * a + b  # [3, H, W]
+    dielectric = jnp.clip(0.04 * a + b, 0.0, 1.0)
+    diffuse = surface.base_color * (1 - surface.metallic) * (1 - dielectric)
+    basis = tuple(jnp.moveaxis(geometry.directions, -1, 0)[..., None, None])
+    cosine = jnp.maximum(sum(n * w for n, w in zip(normal, basis, strict=True)), 0.0)
+    weight = cosine / jnp.maximum(jnp.sum(cosine, 0), 1e-3)  # [D, H, W]
+    seen = weight * geometry.visibility
+    width = math.sqrt(1.8 / geometry.directions.shape[0])
+    towards = _split(geometry.directions)
+    table = jnp.stack(
+        jax.vmap(
+            lambda r: jnp.stack(
+                environment_radiance(environment, r, towards, jnp.float32(width))
+            )
+        )(environment.rotation),
+    )  # [N, 3, D]
+    open_share = jnp.sum(seen, 0)
+    irradiance = jnp.einsum("dhw,ncd->nchw", seen, table)
+    irradiance = irradiance + (1 - open_share) * bounce[..., None, None]
+    # The glossy lobe: environment around the mirror direction, where it is seen.
+    n_dot_v = dot(normal, view)
+    mirror = tuple(2 * n_dot_v * n - v for n, v in zip(normal, view, strict=True))
+    lobe = jnp.maximum(sum(m * w for m, w in zip(mirror, basis, strict=True)), 0.0)
+    lobe = lobe * lobe
+    lobe = lobe * lobe * lobe + 1e-4
+    free = jnp.sum(lobe * geometry.visibility, 0) / jnp.sum(lobe, 0)
+    blur = 0.8 * surface.roughness**2
+
+    def reflected(rotation: Array) -> Array:
+        return jnp.stack(environment_radiance(environment, rotation, mirror, blur))  # type: ignore[arg-type]
+
+    glossy = jax.lax.map(reflected, environment.rotation)
+    glossy = free * glossy + (1 - free) * bounce[..., None, None]
+    total = diffuse * irradiance + specular * glossy
+    return total * environment.scale[:, None, None, None]
+
+
+def _radiance(
+    geometry: Geometry,
+    surface: Surface,
+    keys: KeyLights,
+    environment: Environment,
+    config: SceneConfig,
+) -> Array:
+    """Linear radiance of every image, `[N, 3, H, W]`."""
+    direct = jax.lax.map(
+        lambda light: shade_key_light(geometry, surface, *light),
+        (keys.vector, keys.near, keys.radius),
+    )
+    direct = direct * keys.color[..., None, None]
+    mask = geometry.mask.astype(jnp.float32)
+    area = jnp.maximum(jnp.sum(mask), 1.0)
+    albedo = jnp.sum(fresnel_f0(surface) * surface.metallic * mask, (1, 2)) / area
+    plain = surface.base_color * (1 - surface.metallic) * mask
+    albedo = albedo + jnp.sum(plain, (1, 2)) / area
+    table = jax.vmap(
+        lambda r: jnp.stack(
+            environment_radiance(
+                environment, r, _split(geometry.directions), jnp.float32(0.25)
+            )
+        )
+    )(environment.rotation)
+    bounce = 0.7 * albedo * jnp.mean(table, -1) * config.interreflection
+    around = shade_environment(geometry, surface, environment, bounce)
+    return direct + around
+
+
+def shade(
+    key: Array,
+    geometry: Geometry,
+    *,
+    num_images: int,
+    config: SceneConfig | None = None,
+    light_kind: Array | int | None = None,
+    material: Array | int | None = None,
+) -> Scene:
+    """Draws materials, lights and a camera response for a geometry.
+
+    Args:
+        key: a random key.
+        geometry: what `render_geometry` gave; it may be used again and again.
+        num_images: N.
+        config: the distribution of scenes.
+        light_kind: index into `LIGHT_KINDS` instead of a random one.
+        material: index into `MATERIALS` instead of a random one.
+    """
+    config = config or SceneConfig()
+    key_kind, key_surface, key_lights, key_sensor = jax.random.split(key, 4)
+    draws = Draws(key_kind, 8)
+    light, matter = (
+        draws.choice(config.light_weights),
+        draws.choice(config.material_weights),
+    )
+    light = light if light_kind is None else jnp.int32(light_kind)
+    matter = matter if material is None else jnp.int32(material)
+    shape = geometry.shape
+    local = object_point(shape, geometry.to_object, _split(geometry.positions))
+    inverse = 1 / shape.radius
+    local = (local[0] * inverse, local[1] * inverse, local[2] * inverse)
+    surface = draw_surface(key_surface, matter, local, geometry.height)
+    keys, environment = draw_lights(
+        Draws(key_lights, 160 + 24 * num_images), light, num_images
+    )
+    radiance = _radiance(geometry, surface, keys, environment, config)
+    images, mask = record(key_sensor, radiance, geometry.mask, config)
+    directional = light == 0
+    return Scene(
+        images=jnp.moveaxis(images, 1, -1),
+        mask=mask,
+        normals=geometry.normals * mask[..., None],
+        light_kind=light,
+        shape_kind=shape.kind,
+        material=matter,
+        focal=geometry.focal,
+        light_directions=jnp.where(directional, keys.vector, 0.0),
+        light_intensities=jnp.where(directional, keys.color, 0.0),
+    )
+
+
+def render_scene(
+    key: Array,
+    *,
+    size: int,
+    num_images: int,
+    config: SceneConfig | None = None,
+    light_kind: Array | int | None = None,
+    material: Array | int | None = None,
+    shape: Array | int | None = None,
+    camera: Array | int | None = None,
+) -> Scene:
+    """Draws a scene: a pure function of the key.
+
+    Args:
+        key: a random key.
+        size: side of the images in pixels, a multiple of 4; static under jit.
+        num_images: N; static under jit.
+        config: the distribution of scenes.
+        light_kind: index into `LIGHT_KINDS` instead of a random one.
+        material: index into `MATERIALS` instead of a random one.
+        shape: index into `SHAPE_KINDS` instead of a random one.
+        camera: 0 for an orthographic camera, 1 for a perspective one.
+
+    Raises:
+        ValueError: if `size` is not a multiple of 4.
+    """
+    key_geometry, key_shade = jax.random.split(key)
+    geometry = render_geometry(
+        key_geometry, size=size, config=config, shape=shape, camera=camera
+    )
+    return shade(
+        key_shade,
+        geometry,
+        num_images=num_images,
+        config=config,
+        light_kind=light_kind,
+        material=material,
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("size", "num_images", "config"))
+def render_batch(
+    keys: Array,
+    *,
+    size: int,
+    num_images: int,
+    config: SceneConfig | None = None,
+    light_kind: Array | int | None = None,
+    material: Array | int | None = None,
+    shape: Array | int | None = None,
+    camera: Array | int | None = None,
+) -> Scene:
+    """Scenes of a batch of keys, compiled; arguments as in `render_scene`.
+
+    Args:
+        keys: `[B]` random keys.
+        size: side of the images in pixels.
+        num_images: N.
+        config: the distribution of scenes.
+        light_kind: the same for all.
+        material: the same for all.
+        shape: the same for all.
+        camera: the same for all.
+
+    Returns:
+        A `Scene` whose arrays have a leading axis B.
+    """
+    return jax.vmap(
+        lambda key: render_scene(
+            key,
+            size=size,
+            num_images=num_images,
+            config=config,
+            light_kind=light_kind,
+            material=material,
+            shape=shape,
+            camera=camera,
+        )
+    )(keys)

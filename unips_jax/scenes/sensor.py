@@ -1,0 +1,113 @@
+"""The camera's electronics: exposure, colour, blur, noise, response, quantisation."""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax.scenes.config import SceneConfig
+from unips_jax.scenes.draws import Draws
+from unips_jax.scenes.noise import pixel_noise
+
+
+def expose(radiance: Array, mask: Array, target: Array) -> Array:
+    """Scales each image so that mean plus two standard deviations meet a target.
+
+    Args:
+        radiance: `[N, 3, H, W]`.
+        mask: `[H, W]`.
+        target: `[N]`, share of the sensor's range.
+    """
+    weight = mask.astype(jnp.float32)
+    total = 3 * jnp.maximum(jnp.sum(weight), 1.0)
+    mean = jnp.sum(radiance * weight, (1, 2, 3), keepdims=True) / total
+    spread = jnp.sum((radiance - mean) ** 2 * weight, (1, 2, 3), keepdims=True) / total
+    return radiance * (
+        target[:, None, None, None] / (mean + 2 * jnp.sqrt(spread) + 1e-6)
+    )
+
+
+def blur(images: Array, mask: Array, amount: Array) -> Array:
+    """Averages with the masked neighbours, weight `amount` for each of four.
+
+    Written as products with banded matrices: shifted copies would make the compiler
+    evaluate everything before them several times.
+
+    Args:
+        images: `[..., H, W]`, zero outside the mask.
+        mask: `[H, W]`.
+        amount: scalar, 0 for none.
+    """
+    weight = mask.astype(jnp.float32)
+
+    def band(size: int) -> Array:
+        index = jnp.arange(size)
+        near = jnp.abs(index[:, None] - index) == 1
+        return jnp.eye(size) + amount * near
+
+    rows, columns = band(mask.shape[0]), band(mask.shape[1])
+    return (rows @ images @ columns) / (rows @ weight @ columns + 1e-6)
+
+
+def erode(mask: Array, uniform: Array, rate: Array) -> Array:
+    """Drops border pixels, each with a probability."""
+    inside = mask
+    for axis in (0, 1):
+        inside = inside & jnp.roll(mask, 1, axis) & jnp.roll(mask, -1, axis)
+    return inside | (mask & (uniform >= rate))
+
+
+def _response(x: Array, curve: Array, gamma: Array) -> Array:
+    """0 linear, 1 sRGB, 2 gamma, 3 a contrast curve on top of a gamma."""
+    x = jnp.maximum(x, 1e-6)
+    power = jnp.where(curve == 1, 1 / 2.4, 1 / gamma)
+    raised = jnp.exp(power * jnp.log(x))
+    srgb = jnp.where(x < 0.0031308, 12.92 * x, 1.055 * raised - 0.055)
+    contrast = raised * raised * (3 - 2 * raised)
+    contrast = raised + 0.5 * (contrast - raised)
+    return jnp.where(
+        curve == 0,
+        x,
+        jnp.where(curve == 1, srgb, jnp.where(curve == 2, raised, contrast)),
+    )
+
+
+def record(
+    key: Array, radiance: Array, mask: Array, config: SceneConfig
+) -> tuple[Array, Array]:
+    """What the camera records.
+
+    Args:
+        key: a random key.
+        radiance: `[N, 3, H, W]`, linear.
+        mask: `[H, W]` bool.
+        config: shares of noise, blur, curves and mask errors.
+
+    Returns:
+        Images `[N, 3, H, W]`, at most 1, zero outside the mask, and the mask.
+    """
+    key_draws, key_noise, key_mask = jax.random.split(key, 3)
+    draws = Draws(key_draws, 32 + radiance.shape[0])
+    target = draws.log_uniform(0.35, 1.4, radiance.shape[0])
+    if not config.sensor:
+        return expose(radiance, mask, jnp.full_like(target, 0.8)) * mask, mask
+    balance = jnp.exp(draws.uniform(-0.2, 0.2, 3)).at[1].set(1.0)
+    images = expose(radiance * balance[:, None, None], mask, target) * mask
+    amount = jnp.where(draws.chance(config.blur_rate), draws.uniform(0.0, 0.35), 0.0)
+    images = blur(images, mask, amount)
+    noisy = draws.chance(config.noise_rate)
+    shot = jnp.where(noisy, draws.log_uniform(1e-5, 1e-3), 1e-7)
+    read = jnp.where(noisy, draws.log_uniform(1e-4, 5e-3), 1e-5)
+    seed = jax.random.bits(key_noise, (), jnp.uint32)
+    noise = pixel_noise(seed, images.shape)
+    images = images + noise * jnp.sqrt(shot * jnp.maximum(images, 0.0) + read**2)
+    images = jnp.clip(images, 0.0, 1.0)
+    curved = 1 - config.linear_rate
+    weights = [config.linear_rate, 0.4 * curved, 0.4 * curved, 0.2 * curved]
+    curve = draws.choice(weights)
+    images = _response(images, curve, draws.uniform(1.6, 2.6))
+    coarse = draws.chance(jnp.where(curve == 0, 0.2, 0.8))
+    levels = jnp.where(coarse, 255.0, 65535.0)
+    images = jnp.round(images * levels) / levels
+    rate = jnp.where(draws.chance(config.mask_error_rate), draws.uniform(0.2, 1.0), 0)
+    mask = erode(mask, jax.random.uniform(key_mask, mask.shape), rate)
+    return images * mask, mask

@@ -1,0 +1,268 @@
+"""Draws shapes: what the slots of `sdf.Shape` hold for each kind of object."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from unips_jax.scenes.config import SHAPE_KINDS
+from unips_jax.scenes.draws import Draws
+from unips_jax.scenes.sdf import (
+    NUM_SLOTS,
+    NUM_UNIONS,
+    NUM_WAVES,
+    Detail,
+    Primitives,
+    Shape,
+)
+
+# Columns: ellipsoid, box, cylinder, capsule, torus, frame.
+_TYPE_WEIGHTS = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # blob
+        [0.35, 0.15, 0.15, 0.15, 0.12, 0.08],  # composition
+        [0.05, 0.4, 0.3, 0.05, 0.1, 0.1],  # machine
+        [0.45, 0.2, 0.15, 0.1, 0.1, 0.0],  # lathe
+        [0.1, 0.1, 0.05, 0.4, 0.25, 0.1],  # thin
+        [0.5, 0.12, 0.1, 0.14, 0.14, 0.0],  # relief
+        [0.3, 0.3, 0.1, 0.1, 0.1, 0.1],  # plate
+    ],
+    np.float32,
+)
+# Columns: least and greatest size, thickness factor, blend low and high, chance that
+# a slot is used, chance of a cut, of a twist, of a mirror.
+_TRAITS = np.array(
+    [
+        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.2, 0.2, 0.25],
+        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3],
+        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3],
+        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.5, 0.1, 0.0],
+        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3],
+        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.3, 0.0, 0.0],
+        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.4, 0.0, 0.0],
+    ],
+    np.float32,
+)
+# Columns: chance of waves, least and greatest slope, least and greatest frequency.
+_WAVES = np.array(
+    [
+        [0.6, 0.05, 0.5, 0.5, 2.5],
+        [0.35, 0.05, 0.4, 0.5, 3.0],
+        [0.1, 0.05, 0.2, 0.5, 3.0],
+        [0.25, 0.05, 0.3, 0.5, 3.0],
+        [0.2, 0.05, 0.2, 0.5, 2.0],
+        [0.8, 0.2, 0.9, 0.5, 2.5],
+        [0.5, 0.05, 0.25, 0.4, 2.5],
+    ],
+    np.float32,
+)
+LATHE = SHAPE_KINDS.index("lathe")
+FLAT = (SHAPE_KINDS.index("relief"), SHAPE_KINDS.index("plate"))
+
+
+def is_flat(kind: Array) -> Array:
+    """Whether a kind is a relief or a plate, seen from the front."""
+    return (kind == FLAT[0]) | (kind == FLAT[1])
+
+
+def _typed_primitives(draws: Draws, kind: Array, size: Array, blend: Array):
+    """Parameters of every slot for every type, then the chosen type's."""
+    weights = jnp.asarray(_TYPE_WEIGHTS)[kind]
+    types = draws.choice(weights, NUM_SLOTS)
+    thick = jnp.asarray(_TRAITS)[kind, 2]
+    a, b, c = (draws.uniform(lo, 1.0, NUM_SLOTS) for lo in (0.5, 0.4, 0.35))
+    small = draws.uniform(0.02, 0.3, NUM_SLOTS)
+    one, zero = jnp.ones(NUM_SLOTS), jnp.zeros(NUM_SLOTS)
+    side = 0.75 * thick * size
+    tube = thick * size * (0.1 + 0.25 * c)
+    ball = jnp.stack([a, b * 0.5 + 0.5, c * 0.6 + 0.4], -1) * size[:, None]
+    # Per type: extent x, y, z, corner, hole, edge.
+    table = [
+        [one, one, one, one, zero, one],
+        [a * size, b * side, c * side, small * b * side, zero, small * c * side],
+        [a * side, a * side, b * size, a * side, zero, small * c * side * 0.5],
+        [tube, tube, size, tube, zero, tube],
+        [size, size, tube, size, tube, tube],
+        [size, size * (0.5 + 0.5 * a), tube, small * size, tube, small * tube],
+    ]
+    stacked = jnp.stack([jnp.stack(row, -1) for row in table])  # [T, K, 6]
+    chosen = jnp.sum(
+        stacked * (types == jnp.arange(6)[:, None])[..., None], axis=0
+    )  # [K, 6]
+    is_ball = (types == 0)[:, None]
+    scale = jnp.where(is_ball, ball, 1.0)
+    rotation = draws.rotation(NUM_SLOTS)
+    reach = jnp.where(
+        is_ball[:, 0], jnp.max(ball, -1), jnp.linalg.norm(chosen[:, :3], axis=-1)
+    )
+    primitives = Primitives(
+        center=jnp.zeros((NUM_SLOTS, 3)),
+        rotation=rotation,
+        inverse_scale=1 / scale,
+        min_scale=jnp.min(scale, -1),
+        extent=chosen[:, :3],
+        corner=chosen[:, 3],
+        hole=chosen[:, 4],
+        edge=chosen[:, 5],
+        blend=blend,
+        absent=zero,
+    )
+    return primitives, reach
+
+
+def _attached_centers(draws: Draws, size: Array) -> Array:
+    """Each slot sits near the surface of one before it, so that all are connected."""
+    offset = draws.direction(NUM_SLOTS)
+    parent = draws.unit(NUM_SLOTS)
+    spread = draws.uniform(0.45, 0.95, NUM_SLOTS)
+    centers = [jnp.zeros(3)]
+    for slot in range(1, NUM_SLOTS):
+        count = min(slot, NUM_UNIONS)
+        index = (parent[slot] * count).astype(jnp.int32)
+        one_hot = (jnp.arange(count) == index).astype(jnp.float32)
+        origin = one_hot @ jnp.stack(centers[:count])
+        reach = one_hot @ size[:count]
+        centers.append(origin + offset[slot] * reach * spread[slot])
+    return jnp.stack(centers)
+
+
+def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
+    traits = jnp.asarray(_TRAITS)[kind]
+    size = draws.uniform(traits[0], traits[1], NUM_SLOTS)
+    size = size.at[0].set(jnp.maximum(size[0], 0.5 * (traits[0] + traits[1])))
+    blend = draws.log_uniform(traits[3], traits[4]) * draws.uniform(0.6, 1.4, NUM_SLOTS)
+    is_cut = jnp.arange(NUM_SLOTS) >= NUM_UNIONS
+    size = size * jnp.where(is_cut, 0.7, 1.0)
+    used = draws.chance(jnp.where(is_cut, traits[6], traits[5]), NUM_SLOTS)
+    used = used.at[:2].set(True)
+    primitives, reach = _typed_primitives(draws, kind, size, blend)
+    centers = _attached_centers(draws, size)
+
+    # Turned objects stack their slots along the axis; the last cut opens the top.
+    axis = jnp.stack(
+        [
+            draws.uniform(0.0, 0.3, NUM_SLOTS),
+            draws.uniform(-0.9, 0.9, NUM_SLOTS),
+            jnp.zeros(NUM_SLOTS),
+        ],
+        -1,
+    )
+    top = jnp.stack([0.0, jnp.max(axis[:NUM_UNIONS, 1]) + 0.3 * size[0], 0.0])
+    axis = axis.at[-1].set(top)
+    centers = jnp.where(kind == LATHE, axis, centers)
+
+    # Reliefs and plates: slot 0 is the plate, the others sit on its face.
+    flat = is_flat(kind)
+    face = jnp.concatenate(
+        [
+            draws.uniform(-1.1, 1.1, NUM_SLOTS, 2),
+            draws.uniform(0.0, 0.3, NUM_SLOTS, 1) * (size[:, None] + 0.3),
+        ],
+        -1,
+    )
+    face = face.at[0].set(0.0)
+    centers = jnp.where(flat, face, centers)
+    slab = jnp.stack([1.5, draws.uniform(1.1, 1.5), 0.12])
+    first = {
+        "inverse_scale": jnp.ones(3),
+        "min_scale": jnp.ones(()),
+        "rotation": jnp.eye(3),
+        "extent": slab,
+        "corner": jnp.asarray(0.1),
+        "hole": jnp.zeros(()),
+        "edge": draws.uniform(0.01, 0.1),
+    }
+    replaced = {
+        name: jnp.where(
+            flat & (jnp.arange(NUM_SLOTS) == 0).reshape((-1,) + (1,) * value.ndim),
+            value,
+            getattr(primitives, name),
+        )
+        for name, value in first.items()
+    }
+    reach = reach.at[0].set(jnp.where(flat, jnp.linalg.norm(slab), reach[0]))
+    absent = jnp.where(used, 0.0, 1e3)
+    primitives = primitives._replace(center=centers, absent=absent, **replaced)
+    return primitives, jnp.where(used & ~is_cut, reach, -1e3)
+
+
+def _bounding_sphere(
+    primitives: Primitives, reach: Array, lathe: Array, mirror: Array
+) -> tuple[Array, Array]:
+    center = primitives.center
+    low = jnp.min(center - reach[:, None], axis=0)
+    high = jnp.max(center + reach[:, None], axis=0)
+    folded = jnp.stack([lathe + mirror, 0.0, lathe]) > 0
+    middle = jnp.where(folded, 0.0, 0.5 * (low + high))
+    radius = jnp.max(jnp.linalg.norm(center - middle, axis=-1) + reach)
+    return middle, radius
+
+
+def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
+    frequency = draws.log_uniform(2.0, 14.0)
+    slope = draws.log_uniform(0.05, 0.5)
+    pattern = draws.choice([0.45, 0.12, 0.12, 0.12, 0.12])
+    wavy = draws.chance(0.6)
+    flat = draws.chance(jnp.where(is_flat(kind), 0.1, 0.3))
+    slope = jnp.where(flat, 0.0, slope)
+    amplitude = slope / frequency
+    share = (pattern == jnp.arange(5)) * amplitude
+    return Detail(
+        seed=jax.random.bits(key, (), jnp.uint32) >> 1,
+        rotation=draws.rotation(),
+        frequency=frequency,
+        noise=amplitude * 0.8 * jnp.where(pattern == 0, 1.0, 0.5 * wavy),
+        groove=share[1] * 0.5,
+        ridge=share[2] * 0.25,
+        dimple=share[3] * jnp.where(draws.chance(0.5), 0.4, -0.4),
+        weave=share[4] * 0.25,
+        groove_width=draws.uniform(0.12, 0.3),
+    )
+
+
+def draw_shape(key: Array, kind: Array) -> Shape:
+    """Draws an object.
+
+    Args:
+        key: a random key.
+        kind: index into `SHAPE_KINDS`, int32 scalar.
+    """
+    key_slots, key_waves, key_detail, key_seed = jax.random.split(key, 4)
+    draws = Draws(key_slots, 256)
+    traits = jnp.asarray(_TRAITS)[kind]
+    primitives, reach = _slots(draws, kind)
+    lathe = (kind == LATHE).astype(jnp.float32)
+    mirror = draws.chance(traits[8]).astype(jnp.float32)
+    twist = jnp.where(draws.chance(traits[7]), draws.uniform(-2.5, 2.5), 0.0)
+    center, radius = _bounding_sphere(primitives, reach, lathe, mirror)
+
+    draws = Draws(key_waves, 64)
+    wave = jnp.asarray(_WAVES)[kind]
+    slope = draws.uniform(wave[1], wave[2]) * draws.chance(wave[0])
+    base = draws.log_uniform(wave[3], wave[4])
+    frequency = base * jnp.asarray([1.0, 1.3, 1.9, 2.7, 3.9]) / radius * 1.4
+    roll_off = draws.uniform(0.5, 1.1)
+    amplitude = slope * 0.12 / frequency * frequency[0] ** 0
+    amplitude = amplitude * (frequency / frequency[0]) ** (0.9 - roll_off)
+    warp = draws.uniform(0.0, 0.2) / jnp.maximum(amplitude[0], 1e-3)
+    gradient = (
+        jnp.sum(amplitude * frequency) * 6.3 * (1 + 6.3 * warp * amplitude[0]) * 0.5
+    )
+    twisting = jnp.abs(twist) * radius * 0.7 * (1 - lathe)
+    return Shape(
+        primitives=primitives,
+        sign=jnp.where(jnp.arange(NUM_SLOTS) < NUM_UNIONS, 1.0, -1.0),
+        lathe=lathe,
+        mirror=mirror * (1 - lathe),
+        twist=twist * (1 - lathe),
+        wave_vector=draws.direction(NUM_WAVES) * frequency[:, None],
+        wave_phase=draws.unit(NUM_WAVES),
+        wave_amplitude=amplitude,
+        wave_warp=warp,
+        wave_ridge=jnp.where(draws.chance(0.35), draws.uniform(0.3, 1.0), 0.0),
+        step_scale=1 / ((1 + 0.5 * gradient) * jnp.sqrt(1 + 0.5 * twisting**2)),
+        detail=_detail(Draws(key_detail, 32), key_seed, kind),
+        center=center,
+        radius=radius + jnp.sum(amplitude),
+        kind=kind,
+    )
