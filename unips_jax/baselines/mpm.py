@@ -111,7 +111,7 @@ def estimate_mpm(
     else:
         field = frame_by_integrability(field, mask)
     if truth is not None and sign == "oracle":
-        field, _ = oracle_sign(field, mask, truth)
+        field = oracle_sign(field, mask, truth)
     else:
         field = _make_convex(field, mask)
     return Estimate(normal_map(field[mask], mask), dropped, frame)
@@ -124,6 +124,7 @@ def mpm(
     sign: Literal["convex", "oracle"] = "convex",
     albedo: Literal["profile", "none"] = "profile",
     truth: np.ndarray | None = None,
+    radius: int | None = None,
 ) -> Method:
     """Makes the MPM-style method; `estimate_mpm` also returns its reliability.
 
@@ -133,6 +134,7 @@ def mpm(
         sign: likewise.
         albedo: likewise.
         truth: `[H, W, 3]`, for `sign="oracle"`: then the method is one object's own.
+        radius: as in `estimate_mpm`.
 
     Returns:
         The method; it ignores lights and focal length.
@@ -158,6 +160,7 @@ def mpm(
             sign=sign,
             albedo=albedo,
             truth=truth,
+            radius=radius,
         ).normals
 
     return method

@@ -156,9 +156,7 @@ def _refine(starts: Array, rows: Array, field: Array) -> tuple[Array, Array]:
     return jax.lax.map(run, starts, batch_size=8)
 
 
-def oracle_sign(
-    field: np.ndarray, mask: np.ndarray, truth: np.ndarray
-) -> tuple[np.ndarray, tuple[int, int, int]]:
+def oracle_sign(field: np.ndarray, mask: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Takes the signs of x, y and z that come closest to the truth.
 
     Args:
@@ -167,12 +165,8 @@ def oracle_sign(
         truth: `[H, W, 3]`, the true normals.
 
     Returns:
-        The field with these signs, and the signs.
+        The field with these signs.
     """
-    patterns = list(itertools.product((1, -1), repeat=3))
-    errors = [
-        float(mean_angular_error_deg(field * np.array(signs), truth, mask))
-        for signs in patterns
-    ]
-    best = patterns[int(np.argmin(errors))]
-    return field * np.array(best), best
+    turned = [field * np.array(s) for s in itertools.product((1.0, -1.0), repeat=3)]
+    errors = [float(mean_angular_error_deg(each, truth, mask)) for each in turned]
+    return turned[int(np.argmin(errors))]

@@ -55,18 +55,30 @@ def flatten_albedo(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
     size = np.where(mask, np.linalg.norm(known, axis=0), 1)
     profile, bright = known / size, np.log(size)
     slopes = np.zeros((2, *mask.shape))
-    for axis in (1, 0):
-        here = tuple(slice(None, -1) if a == axis else slice(None) for a in (0, 1))
-        there = tuple(slice(1, None) if a == axis else slice(None) for a in (0, 1))
-        chord = profile[:, *there] - profile[:, *here]
-        angle = 2 * np.arcsin(np.minimum(np.linalg.norm(chord, axis=0) / 2, 1))
-        step = bright[there] - bright[here]
-        edge = mask[here] & mask[there] & (np.abs(step) > np.maximum(0.08, 3 * angle))
-        slopes[1 - axis][here] = np.where(edge, step, 0)
+    slopes[0, :, :-1] = _albedo_steps(profile, bright, mask)
+    swapped = (np.swapaxes(image, -1, -2) for image in (profile, bright, mask))
+    slopes[1, :-1] = _albedo_steps(*swapped).T
     log_albedo = np.asarray(
         integrate(jnp.asarray(slopes, jnp.float32), jnp.asarray(mask)), float
     )
     return images / np.exp(log_albedo - np.median(log_albedo[mask]))
+
+
+def _albedo_steps(
+    profile: np.ndarray, bright: np.ndarray, mask: np.ndarray
+) -> np.ndarray:
+    """Steps of the albedo's logarithm along rows, `[H, W - 1]`, mostly zero."""
+    chord = np.linalg.norm(np.diff(profile, axis=-1), axis=0)
+    angle = 2 * np.arcsin(np.minimum(chord / 2, 1))
+    step = np.diff(bright, axis=-1)
+    both = mask[:, 1:] & mask[:, :-1]
+    edge = both & (np.abs(step) > np.maximum(0.08, 3 * angle))
+    # Shading changes across an edge as it does on both its sides.
+    smooth = np.pad(both & ~edge, ((0, 0), (1, 1)))
+    change = np.pad(step, ((0, 0), (1, 1))) * smooth
+    sides = smooth[:, :-2].astype(int) + smooth[:, 2:]
+    shading = (change[:, :-2] + change[:, 2:]) / np.maximum(sides, 1)
+    return np.where(edge, step - shading, 0.0)
 
 
 def solve_patches(
@@ -88,7 +100,7 @@ def solve_patches(
     bright = float(np.percentile(np.nan_to_num(values), 99))
     least = max(MIN_PIXELS, _MIN_SHARE * (2 * radius + 1) ** 2)
     patches, tried = [], 0
-    rows, columns = (_centres(line, radius) for line in (mask.any(1), mask.any(0)))
+    rows, columns = (_centres(line, radius) for line in np.nonzero(mask))
     for row in rows:
         for column in columns:
             top, left = max(row - radius, 0), max(column - radius, 0)
@@ -103,9 +115,9 @@ def solve_patches(
     return patches, 1 - len(patches) / max(tried, 1)
 
 
-def _centres(occupied: np.ndarray, radius: int) -> np.ndarray:
+def _centres(places: np.ndarray, radius: int) -> np.ndarray:
     # Symmetric about the object's middle, so that turned images give turned normals.
-    low, high = np.flatnonzero(occupied)[[0, -1]]
+    low, high = int(places.min()), int(places.max())
     step = max(radius // 2, 1)
     count = (high - low) // step + 1
     spare = (high - low - (count - 1) * step) / 2
