@@ -1,0 +1,137 @@
+"""Sheets and the report, the latter in a real browser."""
+
+import io
+import re
+import shutil
+import subprocess
+
+import evaluation_data as data
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from unips_jax import eval as evaluation
+from unips_jax.evaluation import pictures
+from unips_jax.evaluation.protocols import Case
+from unips_jax.evaluation.sheets import Panel, sheet
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    root = data.make_ps_wild(tmp_path_factory.mktemp("data"), size=32)
+    work = tmp_path_factory.mktemp("work")
+    arguments = [
+        *("--benchmark", "ps-wild", "--root", str(root), "--workdir", str(work)),
+        *("--method", "woodham", "constant", "--num-images", "3", "all"),
+        *("--crop-size", "32"),
+    ]
+    assert evaluation.main(arguments) == 0
+    return work
+
+
+def browse(page, fragment, profile, *options):
+    done = subprocess.run(
+        [
+            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu"),
+            *("--disable-background-networking", "--disable-component-update"),
+            *("--disable-sync", "--no-first-run", f"--user-data-dir={profile}"),
+            *("--enable-logging=stderr", *options, page.as_uri() + fragment),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+
+def column(html, table, index):
+    """Texts of a column of the table's body, in the order shown."""
+    body = re.search(rf'data-name="{table}".*?<tbody>(.*?)</tbody>', html, re.S).group(
+        1
+    )
+    rows = re.findall(r"<tr.*?</tr>", body, re.S)
+    return [re.findall(r"<td.*?>(.*?)</td>", row, re.S)[index] for row in rows]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_report_opens_from_disk_and_sorts(work, tmp_path):
+    page = work / "report.html"
+    plain, messages = browse(page, "", tmp_path / "a", "--dump-dom")
+    assert messages == []
+    assert "<option" in plain  # the script filled the menus
+    names = column(plain, "objects", 0)
+    assert names[0] == "directional/obj000" and len(names) == 6
+    risen, messages = browse(page, "#sort=objects.4", tmp_path / "b", "--dump-dom")
+    fallen, more = browse(page, "#sort=objects.4.desc", tmp_path / "c", "--dump-dom")
+    assert messages == more == []
+    values = [float(text) for text in column(risen, "objects", 4)]
+    assert values == sorted(values)
+    values = [float(text) for text in column(fallen, "objects", 4)]
+    assert values == sorted(values, reverse=True)
+    assert 'aria-sort="descending"' in fallen
+    # "mean" stays in the foot.
+    assert "mean" not in column(risen, "objects", 0)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_report_is_drawn(work, tmp_path):
+    target = tmp_path / "page.png"
+    options = (f"--screenshot={target}", "--window-size=1200,1600")
+    _, messages = browse(work / "report.html", "", tmp_path / "a", *options)
+    assert messages == []
+    assert np.ptp(imread(target)[..., 0]) > 0.5
+
+
+def test_report_needs_nothing_else(work):
+    html = (work / "report.html").read_text()
+    links = re.findall(r'(?:src|href)="([^"]*)"', html)
+    assert links and all(link.startswith(("data:", "#")) for link in links)
+    assert "http://" not in html.replace("http://www.w3.org", "")
+    for word in ("summary", "objects", "categories", "images", "compare", "sheets"):
+        assert f'id="{word}"' in html
+    assert len(re.findall('class="sheet"', html)) == 6
+    assert html.count("image/svg+xml") == 4
+
+
+def test_sheets_are_there_and_not_redrawn(work):
+    sheets = sorted((work / "sheets").glob("*.png"))
+    assert len(sheets) == 6
+    image = imread(sheets[0])
+    assert image.shape[1] > 1200 and image[..., :3].min() < 0.1
+
+
+def case_of(**changes):
+    mask, normals = data.sphere(40, 60)
+    images = data.shade(normals, data.lights(3)).astype(np.float32)
+    return Case(images, mask, normals.astype(np.float32), None, None)._replace(
+        **changes
+    )
+
+
+def test_sheet_of_many_methods_wraps():
+    case = case_of()
+    panels = [Panel(f"method number {i}", case.normals, float(i)) for i in range(10)]
+    few, many = (imread(io.BytesIO(sheet("x", case, p))) for p in (panels[:3], panels))
+    assert many.shape[0] > 1.4 * few.shape[0]
+    assert sheet("x", case, panels) == sheet("x", case, panels)
+
+
+def test_sheet_without_truth_or_estimate():
+    panels = [Panel("good", case_of().normals, None), Panel("lacking", None, None)]
+    assert imread(io.BytesIO(sheet("x", case_of(normals=None), panels))).ndim == 3
+
+
+def test_pictures_are_white_outside_and_exact_inside():
+    mask = np.array([[True, False]])
+    normals = np.array([[[1.0, 0, -1], [0, 0, 1]]])
+    np.testing.assert_array_equal(
+        pictures.normals_picture(normals, mask), [[[255, 128, 0], [255, 255, 255]]]
+    )
+    clipped = pictures.error_picture(np.array([[170.0, 0]]), mask)
+    full = pictures.error_picture(np.array([[80.0, 0]]), mask)
+    np.testing.assert_array_equal(clipped, full)
+    black = np.zeros((1, 2, 3), np.float32)
+    np.testing.assert_array_equal(pictures.photograph_picture(black, mask)[0, 0], 0)
