@@ -450,6 +450,17 @@ def test_published_numbers_of_diligent_stand_beside_ours(tmp_path):
     assert ["bear", None, "the first 20 images are corrupt: dropped"] in remarks
 
 
+def test_published_means_are_over_the_objects_evaluated(tmp_path):
+    data.make_diligent(tmp_path / "data", images=3, objects=("ball", "cat"))
+    work = tmp_path / "work"
+    chosen = ("--method", "constant", "--objects", "ball", "cat")
+    assert run("diligent", tmp_path / "data", work, *chosen) == 0
+    rows = json.loads((work / "tables" / "tables.json").read_text())["summary"]["rows"]
+    means = {row[0]: row[3] for row in rows}
+    assert means["least squares"] == pytest.approx((4.10 + 8.41) / 2)
+    assert "PS-FCN" not in means
+
+
 # The command
 
 

@@ -119,8 +119,42 @@ PUBLISHED: dict[str, tuple[Published, ...]] = {
 }
 
 
-def mean(row: Published) -> float:
-    """The row's mean: as printed, else that of its scores."""
+DATA = {
+    "ps-wild": "PS-Wild-Test",
+    "diligent": "DiLiGenT",
+    "luces": "LUCES",
+    "diligent102": "DiLiGenT10^2",
+}
+"""What the published scores of a benchmark were measured on."""
+
+
+def mean(row: Published, objects: Sequence[str] = ()) -> float | None:
+    """The row's mean.
+
+    Args:
+        row: as published.
+        objects: where the row is by object, those evaluated here.
+
+    Returns:
+        The printed mean, or that of the row's scores. Where only some of a row's
+        objects were evaluated, the mean over those; None if it cannot be known.
+    """
+    named = [name for name in row.scores if name != "mean"]
+    shown = [row.scores[name] for name in named if name in objects]
+    if shown and len(shown) < len(named):
+        return sum(shown) / len(shown)
     if "mean" in row.scores:
         return row.scores["mean"]
     return sum(row.scores.values()) / len(row.scores)
+
+
+def comparable(rows: Sequence[Published], objects: Sequence[str]) -> list[Published]:
+    """The rows whose mean can be set beside one over these objects.
+
+    Where a benchmark's scores are published by object and only some objects were
+    evaluated, rows that print nothing but a mean are left out.
+    """
+    known = {name for row in rows for name in row.scores} - {"mean"}
+    if not known & set(objects) or known <= set(objects):
+        return list(rows)
+    return [row for row in rows if set(row.scores) != {"mean"}]

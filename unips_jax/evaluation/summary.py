@@ -4,7 +4,13 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from unips_jax.evaluation.published import PUBLISHED, Published, mean
+from unips_jax.evaluation.published import (
+    DATA,
+    PUBLISHED,
+    Published,
+    comparable,
+    mean,
+)
 from unips_jax.evaluation.runner import Result
 from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG
 
@@ -55,6 +61,11 @@ class Results:
     def entries(self) -> list[Result]:
         """One result per object and lighting, in order, for names and tags."""
         return list({result.entry: result for result in self.results}.values())
+
+    @property
+    def objects(self) -> list[str]:
+        """Names of the objects evaluated."""
+        return list(dict.fromkeys(result.tags["object"] for result in self.results))
 
     @property
     def lightings(self) -> list[str]:
@@ -126,12 +137,14 @@ def _summary(results: Results) -> Table:
         [
             *(row.method, _number(row.images), "published"),
             *(row.scores.get(lighting) for lighting in lightings),
-            *(mean(row), *[None] * (len(THRESHOLDS_DEG) + 2)),
+            *(mean(row, results.objects), *[None] * (len(THRESHOLDS_DEG) + 2)),
         ]
         for row in _shown(results)
     ]
-    title = "Mean angular error in degrees, averaged over objects"
-    return Table("summary", f"{title} ({results.protocol})", columns, rows)
+    title = f"Mean angular error in degrees over objects, protocol {results.protocol}"
+    if results.benchmark in DATA:
+        title += f"; published scores are of {DATA[results.benchmark]}"
+    return Table("summary", title, columns, rows)
 
 
 def _shown(results: Results) -> list[Published]:
@@ -141,7 +154,8 @@ def _shown(results: Results) -> list[Published]:
         groups.add("canonical size")
     if any("uniform contexts" in label for label in results.labels):
         groups.add("contexts")
-    return [r for r in PUBLISHED.get(results.benchmark, ()) if r.group in groups]
+    known = [r for r in PUBLISHED.get(results.benchmark, ()) if r.group in groups]
+    return comparable(known, results.objects)
 
 
 def _images(results: Results) -> Table:
@@ -197,7 +211,14 @@ def _objects(results: Results) -> Table:
         described = [entry.tags.get(tag) for tag in tags]
         rows.append([entry.entry, *described, *cells, *published])
     averages = [_mae(results.of(label, results.main_count)) for label in results.labels]
-    rows.append(["mean", *[None] * len(tags), *averages, *(mean(row) for row in known)])
+    rows.append(
+        [
+            "mean",
+            *[None] * len(tags),
+            *averages,
+            *(mean(row, results.objects) for row in known),
+        ]
+    )
     columns = ["Object", *(tag.capitalize() for tag in tags), *results.labels]
     columns += [f"{row.method} (published)" for row in known]
     return Table("objects", "Mean angular error in degrees per object", columns, rows)
