@@ -201,8 +201,8 @@ def small_weights(path, seed=0):
         canonical_size=32,
         patch_channels=(4, 6),
         embed_dim=8,
-        depths=(1, 1),
-        num_heads=(1, 2),
+        depths=(1,),
+        num_heads=(1,),
         communication_heads=2,
         context_dim=8,
         hidden_dim=16,
@@ -525,12 +525,8 @@ def test_unips_runs_from_the_command_line(ps_wild, tmp_path):
     chosen = ["--objects", "mixed/obj000", "--weights", str(weights)]
     assert run("ps-wild", ps_wild, work, *chosen, "--crop-size", "32") == 0
     rows = json.loads((work / "tables/tables.json").read_text())["summary"]["rows"]
-    assert [row[0] for row in rows[:3]] == [
-        "unips",
-        "unips uniform contexts",
-        "constant",
-    ]
-    assert ["uniform contexts", "all", "published"] in [row[:3] for row in rows]
+    assert [row[0] for row in rows[:2]] == ["unips", "constant"]
+    assert rows[0][-1] == "1 of 1" and 0 < rows[0][3] < 180
 
 
 def test_help_names_every_method(capsys):

@@ -20,6 +20,7 @@ import numpy as np
 
 from unips_jax.baselines.method import Lights, Method
 from unips_jax.command import InputError
+from unips_jax.evaluation.store import code_hash
 
 
 class Baseline(NamedTuple):
@@ -63,6 +64,8 @@ CLASSICAL = (
     *("hemisphere", "constant"),
 )
 """What `classical` stands for on the command line."""
+
+_UNIPS_CODE = ("models", "ops.py", "estimation.py", "streaming.py")
 
 NAMES = ("unips", *BASELINES)
 
@@ -166,7 +169,8 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
         method = factory(**{**baseline.fixed, **options})
     except (TypeError, ValueError) as error:
         raise InputError(f"method {request!r}: {error}") from error
-    return Variant(request, {"method": name, "options": hashed}, method)
+    key = {"method": name, "options": hashed, "method_code": code_hash("baselines")}
+    return Variant(request, key, method)
 
 
 def _calibrated(value: str) -> Method:
@@ -219,7 +223,10 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
                 options = {"canonical_size": size, "uniform_contexts": uniform}
                 yield Variant(
                     label + " uniform contexts" * uniform,
-                    {"method": "unips", "options": options, "weights": weights},
+                    {
+                        **{"method": "unips", "options": options, "weights": weights},
+                        "method_code": code_hash(*_UNIPS_CODE),
+                    },
                     run,
                 )
 

@@ -2,9 +2,10 @@
 
 A task is a method, an object and a number of images. Its result's key holds the
 method with options, the hash of its weights, the protocol, the images chosen, the
-object's data and this program's version, so a result of anything else is never taken
-for it. The order of work is that of the tables; processes that share a work folder
-pass over each other's tasks and wait for them at the end.
+object's data, this program's version and the source of what computed it, so a result
+of anything else is never taken for it. The order of work is that of the tables;
+processes that share a work folder pass over each other's tasks and wait for them at
+the end.
 """
 
 import dataclasses
@@ -21,9 +22,13 @@ from unips_jax.evaluation.benchmarks import Benchmark, Item
 from unips_jax.evaluation.methods import Variant
 from unips_jax.evaluation.protocols import Case, Protocol, choose_images, show
 from unips_jax.evaluation.scores import Score, from_json, score
-from unips_jax.evaluation.store import Store, result_key, slug
+from unips_jax.evaluation.store import Store, code_hash, result_key, slug
 
 _POLL_S = 0.2
+_CODE = (
+    *("evaluation/benchmarks", "evaluation/protocols.py", "evaluation/scores.py"),
+    "metrics.py",
+)
 
 
 class Plan(NamedTuple):
@@ -126,6 +131,7 @@ def check_counts(benchmark: Benchmark, counts: Sequence[int | None]) -> None:
 def tasks_of(plan: Plan) -> list[Task]:
     """All tasks, object by object."""
     tasks = []
+    code = code_hash(*_CODE)
     for index, entry in enumerate(plan.benchmark.entries):
         for count in plan.counts:
             chosen = _chosen(plan, index, count)
@@ -139,6 +145,7 @@ def tasks_of(plan: Plan) -> list[Task]:
                     "crop_focal_ratio": plan.benchmark.crop_focal_ratio,
                     "images": chosen.tolist(),
                     "version": __version__,
+                    "code": code,
                 }
                 number = "all" if count is None else str(count)
                 name = "/".join(
@@ -166,14 +173,12 @@ def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
     waiting = list(tasks)
     while waiting:
         left: list[Task] = []
-        item: Item | None = None
-        index = -1
+        shown: _Shown | None = None
         for task in waiting:
             with store.claim(task.name) as ours:
                 if ours and not store.done(task.name):
-                    if item is None or task.index != index:
-                        item, index = plan.benchmark[task.index], task.index
-                    _finish(plan, task, item, store)
+                    shown = _show(plan, task, shown)
+                    _finish(plan, task, shown, store)
                 finished = ours
             if finished:
                 yield task
@@ -184,21 +189,39 @@ def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
             time.sleep(_POLL_S)
 
 
-def _finish(plan: Plan, task: Task, item: Item, store: Store) -> None:
-    chosen = _chosen(plan, task.index, task.count)
+@dataclasses.dataclass(frozen=True)
+class _Shown:
+    """The object being worked on, as read and as shown to the methods."""
+
+    index: int
+    count: int | None
+    item: Item
+    case: Case
+
+
+def _show(plan: Plan, task: Task, last: _Shown | None) -> _Shown:
+    """Prepares the task's object, unless the last task had the same."""
+    if last and (last.index, last.count) == (task.index, task.count):
+        return last
+    same = last is not None and last.index == task.index
+    item = last.item if last and same else plan.benchmark[task.index]
     case = show(
         item,
         plan.protocol,
-        chosen,
+        _chosen(plan, task.index, task.count),
         crop_focal_ratio=plan.benchmark.crop_focal_ratio,
     )
+    return _Shown(task.index, task.count, item, case)
+
+
+def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
+    item, case = shown.item, shown.case
+    chosen = _chosen(plan, task.index, task.count)
     record: dict[str, Any] = {
         "fields": task.fields,
         "entry": item.name,
         "tags": dict(item.tags),
         "notes": list(item.notes),
-        "label": task.variant.label,
-        "count": task.count,
         "images": [plan.benchmark.entries[task.index].images[i].name for i in chosen],
         "score": None,
         "unsupported": "",
@@ -245,8 +268,8 @@ def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
                 record["entry"],
                 record["tags"],
                 record["notes"],
-                record["label"],
-                record["count"],
+                task.variant.label,
+                task.count,
                 len(record["images"]),
                 None if record["score"] is None else from_json(record["score"]),
                 record["unsupported"],
