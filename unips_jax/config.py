@@ -10,6 +10,8 @@ import json
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar
 
+from unips_jax.scenes.config import SceneConfig
+
 _T = TypeVar("_T")
 
 
@@ -147,6 +149,199 @@ class ModelConfig:
     def stage_dim(self, stage: int) -> int:
         """Channels of Swin's stage number `stage`, counted from 0."""
         return self.embed_dim * 2**stage
+
+
+@dataclasses.dataclass(frozen=True)
+class DataConfig:
+    """What a training step sees.
+
+    Attributes:
+        source: scenes made on the device ("scenes"), PS-Wild folders ("folders"), or a
+            share of steps from each ("mixture").
+        root: the folder that holds the `X.data` folders.
+        scene_share: share of steps on scenes in a mixture.
+        image_size: side of the training images, in pixels.
+        batch_size: objects per step, over all devices.
+        num_images: sizes of the sets; every step draws one of them for all its
+            objects. The paper draws from 2..10.
+        num_pixels: full-resolution pixels drawn per object (2500 in the paper; all
+            masked ones if there are fewer).
+        max_tokens: upper bound on set size times pixels drawn per object, to even out
+            the cost of large sets; 0: no bound.
+        grid_loss: also decode every pixel of the contexts' grid, the first of the
+            paper's two samplings.
+        augment: the paper's four augmentations.
+        workers: processes that read folders; 0 reads in the training process.
+    """
+
+    source: Literal["scenes", "folders", "mixture"] = "folders"
+    root: str = ""
+    scene_share: float = 0.5
+    image_size: int = 512
+    batch_size: int = 3
+    num_images: tuple[int, ...] = tuple(range(2, 11))
+    num_pixels: int = 2500
+    max_tokens: int = 0
+    grid_loss: bool = True
+    augment: bool = True
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        _require_choice("source", self.source, ("scenes", "folders", "mixture"))
+        _require_positive(self, "image_size", "batch_size", "num_pixels")
+        _require(
+            len(self.num_images) > 0 and min(self.num_images) >= 1,
+            f"num_images: expected set sizes of at least 1, got {self.num_images}",
+        )
+        _require(
+            0 <= self.scene_share <= 1,
+            f"scene_share: expected a share in [0, 1], got {self.scene_share}",
+        )
+
+    def pixels_for(self, num_images: int) -> int:
+        """Full-resolution pixels drawn per object for sets of this size."""
+        if not self.max_tokens:
+            return self.num_pixels
+        return max(1, min(self.num_pixels, self.max_tokens // num_images))
+
+
+@dataclasses.dataclass(frozen=True)
+class OptimConfig:
+    """AdamW and its schedule.
+
+    Attributes:
+        learning_rate: the highest learning rate.
+        schedule: "cosine" (to zero at the last step) or "step" (the paper's decay).
+        warmup_steps: linear rise from zero.
+        decay_every: steps between two decays of "step" (the paper: 3 epochs).
+        decay_rate: factor of each decay.
+        weight_decay: on the kernels alone.
+        b2: decay of the second moments.
+        clip_norm: largest global norm of the gradient; 0: no clipping.
+        accumulate: microbatches per step.
+        ema_decay: of the averaged parameters that are validated and released; 0: none.
+    """
+
+    learning_rate: float = 1e-4
+    schedule: Literal["cosine", "step"] = "step"
+    warmup_steps: int = 0
+    decay_every: int = 10_099
+    decay_rate: float = 0.8
+    weight_decay: float = 0.05
+    b2: float = 0.999
+    clip_norm: float = 1.0
+    accumulate: int = 1
+    ema_decay: float = 0.999
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        _require_choice("schedule", self.schedule, ("cosine", "step"))
+        _require_positive(self, "learning_rate", "decay_every", "accumulate")
+        _require(
+            0 <= self.ema_decay < 1,
+            f"ema_decay: expected a decay in [0, 1), got {self.ema_decay}",
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshConfig:
+    """How devices are used.
+
+    Attributes:
+        data: devices along which the batch is split; 0: all that `fsdp` leaves.
+        fsdp: devices along which parameters and optimiser state are split too.
+    """
+
+    data: int = 0
+    fsdp: int = 1
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        _require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
+        _require_positive(self, "fsdp")
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """Length, seed and rhythm of a training run.
+
+    Attributes:
+        steps: length of the run.
+        seed: of parameters, data order, scenes and dropout.
+        log_every: steps between metric lines.
+        checkpoint_every: steps between checkpoints.
+        keep: how many checkpoints are kept.
+        validate_every: steps between validations.
+        validation_scenes: held-out scenes in a validation.
+        validation_images: images of each.
+    """
+
+    steps: int = 67_327
+    seed: int = 0
+    log_every: int = 20
+    checkpoint_every: int = 500
+    keep: int = 2
+    validate_every: int = 2000
+    validation_scenes: int = 64
+    validation_images: int = 8
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        _require_positive(
+            self,
+            *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
+            *("validation_scenes", "validation_images"),
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """A training run.
+
+    Attributes:
+        model: the network.
+        data: what a step sees.
+        scenes: the distribution of scenes.
+        optim: the optimiser.
+        mesh: the devices.
+        train: length and rhythm.
+    """
+
+    model: ModelConfig = ModelConfig()
+    data: DataConfig = DataConfig()
+    scenes: SceneConfig = SceneConfig()
+    optim: OptimConfig = OptimConfig()
+    mesh: MeshConfig = MeshConfig()
+    train: TrainConfig = TrainConfig()
+
+    def __post_init__(self) -> None:
+        """Checks what concerns several parts.
+
+        Raises:
+            ValueError: naming the fields, what was expected and what came.
+        """
+        _require(
+            self.data.batch_size % self.optim.accumulate == 0,
+            f"accumulate: expected a divisor of batch_size={self.data.batch_size}, "
+            f"got {self.optim.accumulate}",
+        )
 
 
 def to_json(config: Any) -> str:

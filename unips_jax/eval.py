@@ -93,7 +93,7 @@ def _print(table: summary.Table) -> None:
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    console = Console(width=None if sys.stdout.isatty() else 160)
+    console = Console(width=None if sys.stdout.isatty() else 160, markup=False)
     shown = RichTable(title=table.title)
     for column in table.columns:
         shown.add_column(column)

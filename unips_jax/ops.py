@@ -7,6 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+# Up to this many cells a grid is sampled by a product with dense weights.
+_SMALL_GRID = 576
+
 
 def resize_bilinear(x: Array, size: Sequence[int]) -> Array:
     """Resizes with half-pixel centres and no antialiasing.
@@ -153,6 +156,13 @@ def bilinear_sample(grid: Array, rows: Array, columns: Array, *, zeros: bool) ->
     if not zeros:
         rows = jnp.clip(rows, 0, h - 1)
         columns = jnp.clip(columns, 0, w - 1)
+    if h * w <= _SMALL_GRID:
+        # As a product with the weights: a gather's gradient is a slow scatter.
+        row_weights = jnp.maximum(1 - abs(rows[:, None] - jnp.arange(h)), 0)
+        column_weights = jnp.maximum(1 - abs(columns[:, None] - jnp.arange(w)), 0)
+        weights = row_weights[:, :, None] * column_weights[:, None, :]
+        weights = weights.reshape(-1, h * w).astype(grid.dtype)
+        return jnp.einsum("pg,...gc->...pc", weights, flat)
     top, left = jnp.floor(rows), jnp.floor(columns)
     total = jnp.zeros((), grid.dtype)
     for dy in (0, 1):

@@ -12,17 +12,14 @@ Two arithmetics, chosen by `ModelConfig.attention`:
 Sets may be padded: `valid` marks the members, and padding never changes a result.
 """
 
+from collections.abc import Callable
 from typing import Literal
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import DTypeLike
-
-# Up to this many members attention runs as multiply-and-reduce, which compilers fuse;
-# batched products of such tiny matrices are slow, on CPU by a factor of seven.
-_SMALL_SET = 24
+from jax.typing import ArrayLike, DTypeLike
 
 
 def truncated_normal(stddev: float = 0.02) -> nn.initializers.Initializer:
@@ -45,46 +42,49 @@ def softmax_dtype(dtype: DTypeLike) -> jnp.dtype:
     return jnp.promote_types(dtype, jnp.float32)
 
 
-def set_attention_weights(
-    q: Array, k: Array, valid: Array | None, *, scale: float
+def dot_product_attention(
+    q: Array,
+    k: Array,
+    v: Array,
+    *,
+    num_heads: int,
+    scale: float,
+    bias: ArrayLike = 0.0,
+    dropout: Callable[[Array], Array] = lambda weights: weights,
 ) -> Array:
-    """Softmax attention weights of queries over a set.
+    """Multi-head attention; softmax at least in float32.
 
     Args:
-        q: `[..., Q, heads, D]`.
-        k: `[..., N, heads, D]`.
-        valid: `[N]`, bool, or None where all members count.
+        q: `[..., Q, C]`; each head has its C / heads channels in a row.
+        k: `[..., N, C]`.
+        v: `[..., N, C]`.
+        num_heads: heads.
         scale: multiplies the logits.
+        bias: added to them, `[..., heads, Q, N]`.
+        dropout: applied to the weights.
 
     Returns:
-        `[..., heads, Q, N]`, at least float32, summing to 1 over the valid members.
+        `[..., Q, C]`.
     """
-    dtype = softmax_dtype(q.dtype)
-    if max(q.shape[-3], k.shape[-3]) <= _SMALL_SET:
-        pairs = q[..., :, None, :, :] * k[..., None, :, :, :]
-        logits = jnp.moveaxis(jnp.sum(pairs, axis=-1, dtype=dtype), -1, -3)
-    else:
-        logits = jnp.einsum("...qhd,...nhd->...hqn", q, k, preferred_element_type=dtype)
-    logits = logits * scale
-    if valid is not None:
-        logits = jnp.where(valid, logits, -jnp.inf)
-    return jax.nn.softmax(logits, axis=-1)
+
+    def split(x: Array) -> Array:
+        x = x.reshape(*x.shape[:-1], num_heads, x.shape[-1] // num_heads)
+        # Heads become a batch of contiguous small products: on CPU the backward pass
+        # is several times faster than that of any other order or of plain sums.
+        return jnp.swapaxes(x, -2, -3)  # [..., heads, N, D]
+
+    q, k, v = split(q), split(k), split(v)
+    logits = jnp.matmul(
+        q, jnp.swapaxes(k, -1, -2), preferred_element_type=softmax_dtype(q.dtype)
+    )
+    weights = dropout(jax.nn.softmax(logits * scale + bias, axis=-1))
+    attended = jnp.swapaxes(jnp.matmul(weights.astype(v.dtype), v), -2, -3)
+    return attended.reshape(*attended.shape[:-2], -1)
 
 
-def weighted_values(weights: Array, v: Array) -> Array:
-    """Sums values by attention weights.
-
-    Args:
-        weights: `[..., heads, Q, N]`.
-        v: `[..., N, heads, D]`.
-
-    Returns:
-        `[..., Q, heads, D]`, in the type of `v`.
-    """
-    if max(weights.shape[-2:]) <= _SMALL_SET:
-        by_pair = jnp.moveaxis(weights, -3, -1).astype(v.dtype)  # [..., Q, N, heads]
-        return jnp.sum(by_pair[..., None] * v[..., None, :, :, :], axis=-3)
-    return jnp.einsum("...hqn,...nhd->...qhd", weights.astype(v.dtype), v)
+def members_bias(valid: Array | None) -> ArrayLike:
+    """Bias that hides the members of a set that do not count; `[N]` or 0."""
+    return 0.0 if valid is None else jnp.where(valid, 0.0, -jnp.inf)
 
 
 class SetMLP(nn.Module):
@@ -154,16 +154,17 @@ class SAB(nn.Module):
         k = dense(self.features, self.dtype, "key")(keys)
         v = dense(self.features, self.dtype, "value")(keys)
 
-        head_dim = self.features // self.num_heads
-        heads = (*x.shape[:-1], self.num_heads, head_dim)
-        weights = set_attention_weights(
-            q.reshape(heads),
-            k.reshape(heads),
-            valid,
-            scale=(head_dim if pre_norm else self.features) ** -0.5,
+        dropout = nn.Dropout(self.dropout_rate)
+        width = self.features // self.num_heads if pre_norm else self.features
+        attended = dot_product_attention(
+            q,
+            k,
+            v,
+            num_heads=self.num_heads,
+            scale=width**-0.5,
+            bias=members_bias(valid),
+            dropout=lambda weights: dropout(weights, deterministic),
         )
-        weights = nn.Dropout(self.dropout_rate)(weights, deterministic)
-        attended = weighted_values(weights, v.reshape(heads)).reshape(q.shape)
         if pre_norm:
             attended = dense(self.features, self.dtype, "out")(attended)
             if x.shape[-1] != self.features:
@@ -267,8 +268,10 @@ class PMA(nn.Module):
         weights = jax.nn.softmax(logits, axis=-3)
         weights = nn.Dropout(self.dropout_rate)(weights, deterministic).astype(y.dtype)
 
-        # [..., seeds, heads, C], then each head's values from its own mixture
-        mixed = jnp.sum(weights[..., None] * y[..., None, None, :], axis=-4)
+        # One mixture of members per seed and head, then each head's values from it
+        mixing = weights.reshape(*weights.shape[:-2], -1)  # [..., N, seeds * heads]
+        mixed = jnp.matmul(jnp.swapaxes(mixing, -1, -2), y)
+        mixed = mixed.reshape(*mixed.shape[:-2], -1, heads, c)
         attended = jnp.einsum("...shc,chd->...shd", mixed, value_kernel)
         total = jnp.sum(weights, axis=-3)[..., None]  # 1 without dropout
         attended = attended + total * value_bias.reshape(heads, head_dim)

@@ -14,8 +14,8 @@ from unips_jax import ops
 from unips_jax.config import ModelConfig
 from unips_jax.models.set_attention import (
     dense,
+    dot_product_attention,
     layer_norm,
-    softmax_dtype,
     truncated_normal,
 )
 
@@ -91,20 +91,19 @@ class WindowAttention(nn.Module):
             ((2 * self.window_size - 1) ** 2, self.num_heads),
         )
         qkv = dense(3 * c, self.dtype, "qkv")(x)
-        qkv = qkv.reshape(b, t, 3, self.num_heads, c // self.num_heads)
-        q, k, v = qkv[:, :, 0], qkv[:, :, 1], qkv[:, :, 2]  # [B * windows, T, heads, D]
-        q = q * (c // self.num_heads) ** -0.5
-        logits = jnp.einsum(
-            "bqhd,bkhd->bhqk", q, k, preferred_element_type=softmax_dtype(q.dtype)
-        )
-        bias = table[ops.relative_position_index(self.window_size)]  # [T, T, heads]
-        logits = logits + bias.transpose(2, 0, 1)[None]
+        q, k, v = jnp.split(qkv, 3, axis=-1)  # [B * windows, T, C]
+        index = ops.relative_position_index(self.window_size)
+        bias = table[index].transpose(2, 0, 1)[None]  # [1, heads, T, T]
         if mask is not None:
-            windows = mask.shape[0]
-            logits = logits.reshape(-1, windows, self.num_heads, t, t)
-            logits = (logits + mask[None, :, None]).reshape(b, self.num_heads, t, t)
-        weights = nn.softmax(logits, axis=-1).astype(v.dtype)
-        x = jnp.einsum("bhqk,bkhd->bqhd", weights, v).reshape(b, t, c)
+            bias = bias + mask[:, None]  # [windows, heads, T, T]
+        windows = bias.shape[0]
+        attended = dot_product_attention(
+            *(z.reshape(-1, windows, t, c) for z in (q, k, v)),
+            num_heads=self.num_heads,
+            scale=(c // self.num_heads) ** -0.5,
+            bias=bias,
+        )
+        x = attended.reshape(b, t, c)
         return dense(c, self.dtype, "proj")(x)
 
 

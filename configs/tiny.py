@@ -1,0 +1,46 @@
+"""The embedded default: small enough to train on two CPU cores."""
+
+from unips_jax.config import (
+    Config,
+    DataConfig,
+    ModelConfig,
+    OptimConfig,
+    TrainConfig,
+)
+
+
+def get_config() -> Config:
+    """The configuration."""
+    return Config(
+        model=ModelConfig(
+            canonical_size=64,
+            patch_channels=(24, 64),
+            embed_dim=64,
+            depths=(2, 2, 4),
+            num_heads=(2, 4, 8),
+            window_size=4,
+            drop_path_rate=0.0,
+            context_dim=64,
+            pool_scales=(1, 2),
+            aggregation_layers=3,
+            hidden_dim=128,
+            aggregation_heads=4,
+            aggregation_mlp_dim=256,
+            pma_mlp_dim=256,
+            predictor_dim=128,
+            dropout_rate=0.0,
+        ),
+        data=DataConfig(
+            source="scenes",
+            image_size=64,
+            batch_size=8,
+            num_images=(3, 8),
+            num_pixels=384,
+            max_tokens=1024,
+            grid_loss=False,
+        ),
+        optim=OptimConfig(
+            learning_rate=1e-3, schedule="cosine", warmup_steps=200, ema_decay=0.998
+        ),
+        train=TrainConfig(steps=3000, checkpoint_every=250, validate_every=1000),
+    )

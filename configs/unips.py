@@ -1,0 +1,14 @@
+"""The paper's network and recipe, on PS-Wild folders.
+
+Paper: "Universal Photometric Stereo Network using Global Lighting Contexts" (Ikehata,
+CVPR 2022). Command: `python -m unips_jax.train --config configs/unips.py --workdir
+runs/unips --data.root PS-Wild`. Hardware of the paper: one Quadro RTX 8000, 48 hours.
+Not trained here: neither that data set nor that time were at hand.
+"""
+
+from unips_jax.config import Config, ModelConfig
+
+
+def get_config() -> Config:
+    """The configuration: the defaults are the paper's."""
+    return Config(model=ModelConfig(remat=True))

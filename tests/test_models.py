@@ -1,0 +1,210 @@
+"""Modules: invariances, padding of sets, variants, gradients."""
+
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax.traverse_util import flatten_dict
+
+from unips_jax.config import ModelConfig, from_json, to_json
+from unips_jax.models.set_attention import PMA
+from unips_jax.models.unips import UniPS
+
+SMALL = ModelConfig(
+    canonical_size=20,
+    patch_channels=(3, 5),
+    embed_dim=8,
+    depths=(1, 2),
+    num_heads=(2, 4),
+    window_size=3,
+    communication_heads=4,
+    context_dim=8,
+    pool_scales=(1, 2),
+    aggregation_layers=2,
+    hidden_dim=12,
+    aggregation_heads=3,
+    aggregation_mlp_dim=13,
+    pma_mlp_dim=11,
+    predictor_dim=5,
+)
+
+
+def inputs(n=3, size=20, pixels=17):
+    keys = jax.random.split(jax.random.key(7), 3)
+    images = jax.random.uniform(keys[0], (n, size, size, 4))
+    observed = jax.random.uniform(keys[1], (pixels, n, 3))
+    rows, columns = jax.random.uniform(keys[2], (2, pixels)) * 4
+    return images, observed, rows, columns
+
+
+def lively(params):
+    """Larger parameters than the initial ones, so that every path matters."""
+    leaves, tree = jax.tree.flatten(params)
+    keys = jax.random.split(jax.random.key(3), len(leaves))
+    noisy = [
+        x + 0.3 * jax.random.normal(k, x.shape)
+        for x, k in zip(leaves, keys, strict=True)
+    ]
+    return jax.tree.unflatten(tree, noisy)
+
+
+def make(config, n=3):
+    network = UniPS(config)
+    arguments = inputs(n, config.canonical_size)
+    params = jax.jit(network.init)(jax.random.key(0), *arguments)["params"]
+    return network, lively(params), arguments
+
+
+VARIANTS = [
+    {"attention": attention, "communication": communication}
+    for attention, communication in itertools.product(
+        ("pre_norm", "released"), ("none", "during", "pre", "post")
+    )
+] + [{"aggregation": "max"}, {"context_sampling": "corner"}]
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: "-".join(v.values()))
+def test_order_and_padding_of_images_do_not_matter(variant):
+    network, params, (images, observed, *places) = make(
+        dataclasses.replace(SMALL, **variant)
+    )
+    apply = jax.jit(network.apply)
+    plain = apply({"params": params}, images, observed, *places)
+    np.testing.assert_allclose(np.linalg.norm(plain, axis=-1), 1, atol=1e-6)
+    order = jnp.array([2, 0, 1])
+    permuted = apply({"params": params}, images[order], observed[:, order], *places)
+    np.testing.assert_allclose(permuted, plain, atol=1e-5)
+
+    padded = apply(
+        {"params": params},
+        jnp.concatenate([images, jnp.full((2, *images.shape[1:]), 9.0)]),
+        jnp.concatenate([observed, jnp.full((17, 2, 3), 9.0)], axis=1),
+        *places,
+        jnp.array([True, True, True, False, False]),
+    )
+    np.testing.assert_allclose(padded, plain, atol=1e-5)
+
+
+@pytest.mark.parametrize("attention", ["pre_norm", "released"])
+def test_communication_changes_the_result(attention):
+    network, params, (images, observed, *places) = make(
+        dataclasses.replace(SMALL, attention=attention)
+    )
+    contexts = network.bind({"params": params}).encoder(images)
+    changed = network.bind({"params": params}).encoder(images.at[1].mul(2))
+    assert abs(contexts[0] - changed[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize("attention", ["pre_norm", "released"])
+def test_pooling_equals_the_plain_block(attention):
+    """The folded products of PMA against a literal softmax attention."""
+    y = jax.random.normal(jax.random.key(1), (5, 4, 12))
+    module = PMA(12, 3, 7, attention)
+    params = lively(module.init(jax.random.key(0), y, None, True)["params"])
+    actual = module.apply({"params": params}, y, None, True)
+
+    def norm(x, p):
+        x = (x - x.mean(-1, keepdims=True)) / jnp.sqrt(x.var(-1, keepdims=True) + 1e-5)
+        return x * p["scale"] + p["bias"]
+
+    def linear(x, p):
+        return x @ p["kernel"] + p["bias"]
+
+    pre_norm = attention == "pre_norm"
+    seeds = params["seeds"]
+    q = linear(norm(seeds, params["norm"]) if pre_norm else seeds, params["query"])
+    keys = norm(y, params["norm_set"]) if pre_norm else y
+    k, v = linear(keys, params["key"]), linear(keys, params["value"])
+    parts = []
+    for head in range(3):
+        part = slice(4 * head, 4 * head + 4)
+        scale = (4 if pre_norm else 12) ** -0.5
+        weights = jax.nn.softmax(q[:, part] @ jnp.swapaxes(k[..., part], 1, 2) * scale)
+        parts.append(weights @ v[..., part])
+    attended = jnp.concatenate(parts, -1)
+    x = seeds + linear(attended, params["out"]) if pre_norm else q + attended
+    hidden = norm(x, params["mlp"]["norm"]) if pre_norm else x
+    hidden = jax.nn.gelu(linear(hidden, params["mlp"]["fc1"]), approximate=False)
+    expected = x + linear(hidden, params["mlp"]["fc2"])
+    np.testing.assert_allclose(actual, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_every_parameter_is_reached_and_remat_changes_nothing():
+    network, params, arguments = make(SMALL)
+    again = UniPS(dataclasses.replace(SMALL, remat=True))
+
+    def loss(params, network):
+        normals = network.apply({"params": params}, *arguments)
+        return jnp.sum(normals * jnp.array([1.0, 2.0, 3.0]))
+
+    plain = jax.jit(jax.grad(loss), static_argnums=1)(params, network)
+    remat = jax.jit(jax.grad(loss), static_argnums=1)(params, again)
+    # A constant added to all keys of a set drops out of the softmax.
+    for name, gradient in flatten_dict(plain, sep="/").items():
+        if not name.endswith("key/bias"):
+            assert abs(gradient).max() > 0, name
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5),
+        plain,
+        remat,
+    )
+
+
+def test_dropout_acts_in_training_only():
+    config = dataclasses.replace(SMALL, dropout_rate=0.5, drop_path_rate=0.5)
+    network, params, arguments = make(config)
+
+    def run(key):
+        return network.apply(
+            {"params": params}, *arguments, None, False, rngs={"dropout": key}
+        )
+
+    first, second = run(jax.random.key(0)), run(jax.random.key(1))
+    assert abs(first - second).max() > 1e-3
+    np.testing.assert_array_equal(first, run(jax.random.key(0)))
+
+
+def test_bfloat16_stays_near():
+    network, params, arguments = make(SMALL)
+    half = UniPS(dataclasses.replace(SMALL, dtype="bfloat16"))
+    exact = network.apply({"params": params}, *arguments)
+    rounded = half.apply({"params": params}, *arguments)
+    assert rounded.dtype == jnp.float32
+    assert abs(exact - rounded).mean() < 0.05
+
+
+def test_paper_size():
+    def count(config):
+        arguments = inputs(2, config.canonical_size)
+        shapes = jax.eval_shape(UniPS(config).init, jax.random.key(0), *arguments)
+        return sum(x.size for x in jax.tree.leaves(shapes))
+
+    official = ModelConfig(attention="released", aggregation_layers=4)
+    assert count(official) == 69_400_883
+    assert count(dataclasses.replace(official, communication="none")) < 69_400_883
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"canonical_size": 30}, "canonical_size"),
+        ({"num_heads": (3, 6)}, "num_heads"),
+        ({"num_heads": (5, 6, 12, 24)}, "num_heads[0]"),
+        ({"communication_heads": 7}, "communication_heads"),
+        ({"aggregation_heads": 7}, "aggregation_heads"),
+        ({"attention": "mine"}, "attention"),
+        ({"dropout_rate": 1.5}, "dropout_rate"),
+    ],
+)
+def test_configuration_errors_name_the_field(changes, field):
+    with pytest.raises(ValueError, match=field.replace("[", r"\[")):
+        dataclasses.replace(ModelConfig(), **changes)
+
+
+def test_configuration_survives_json():
+    assert from_json(ModelConfig, to_json(SMALL)) == SMALL
+    with pytest.raises(ValueError, match="unknown fields"):
+        from_json(ModelConfig, '{"canonical_sice": 3}')

@@ -1,0 +1,83 @@
+"""Array functions against hand-made answers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from unips_jax import ops
+
+
+def test_window_round_trip():
+    x = jax.random.normal(jax.random.key(0), (2, 10, 15, 3))
+    windows = ops.window_partition(x, 5)
+    assert windows.shape == (2 * 6, 25, 3)
+    np.testing.assert_array_equal(windows[1, 0], x[0, 0, 5])
+    np.testing.assert_array_equal(ops.window_reverse(windows, 10, 15), x)
+
+
+def test_mask_resize_takes_floor():
+    mask = jnp.arange(8)[None, :] * jnp.ones((8, 1), int)
+    np.testing.assert_array_equal(
+        ops.resize_mask_nearest(mask, (4, 4))[0], [0, 2, 4, 6]
+    )
+
+
+def test_bilinear_resize_is_half_pixel_without_antialias():
+    x = jnp.arange(8.0)[None, :, None] * jnp.ones((8, 1, 1))
+    np.testing.assert_allclose(ops.resize_bilinear(x, (2, 2))[0, :, 0], [1.5, 5.5])
+
+
+@pytest.mark.parametrize(("size", "bins"), [(2, 6), (7, 3), (5, 5)])
+def test_adaptive_average(size, bins):
+    x = np.random.default_rng(0).random((size, size, 2), np.float32)
+    pooled = ops.adaptive_average_pool(jnp.asarray(x), bins)
+    for i in range(bins):
+        for j in range(bins):
+            rows = slice(i * size // bins, int(np.ceil((i + 1) * size / bins)))
+            columns = slice(j * size // bins, int(np.ceil((j + 1) * size / bins)))
+            expected = x[rows, columns].mean((0, 1))
+            np.testing.assert_allclose(pooled[i, j], expected, rtol=1e-5)
+
+
+def test_shift_mask_separates_what_wrapped_around():
+    mask = ops.shift_mask(4, 4, 2, 1)
+    assert mask.shape == (4, 4, 4)
+    assert (mask[0] == 0).all()  # the first window holds no wrapped token
+    expected = np.where(np.eye(4, dtype=bool), 0, -100)
+    np.testing.assert_array_equal(mask[3], expected)  # the last holds four corners
+
+
+def test_relative_position_index():
+    index = ops.relative_position_index(2)
+    assert index.shape == (4, 4)
+    assert (np.diag(index) == 4).all()  # offset (0, 0) in a table of 3 x 3
+    assert index[0, 3] == 0  # offset (-1, -1)
+    assert index[3, 0] == 8
+
+
+@pytest.mark.parametrize("size", [(3, 5), (31, 29)])
+@pytest.mark.parametrize("zeros", [True, False])
+def test_bilinear_sample(size, zeros):
+    h, w = size
+    grid = np.random.default_rng(1).random((2, h, w, 3), np.float32)
+    rows = jnp.array([0.0, 0.25, h - 1.0, -0.5, h - 0.5])
+    columns = jnp.array([0.0, 1.5, w - 1.0, 0.0, 2.0])
+    out = ops.bilinear_sample(jnp.asarray(grid), rows, columns, zeros=zeros)
+    half = 0.5 if zeros else 1.0
+    expected = [
+        grid[:, 0, 0],
+        0.375 * (grid[:, 0, 1] + grid[:, 0, 2])
+        + 0.125 * (grid[:, 1, 1] + grid[:, 1, 2]),
+        grid[:, -1, -1],
+        half * grid[:, 0, 0],
+        half * grid[:, -1, 2],
+    ]
+    np.testing.assert_allclose(out, np.stack(expected, 1), atol=1e-6)
+
+
+def test_normalize_has_finite_gradients_at_zero():
+    x = jnp.array([[0.0, 0.0, 0.0], [3.0, 0.0, 4.0]])
+    np.testing.assert_allclose(ops.normalize(x), [[0, 0, 0], [0.6, 0, 0.8]], atol=1e-7)
+    gradient = jax.grad(lambda x: ops.normalize(x).sum())(x)
+    assert np.isfinite(gradient).all()

@@ -1,0 +1,62 @@
+"""The optimiser: AdamW with clipping, a schedule and decay on kernels alone."""
+
+from typing import Any
+
+import jax
+import optax
+
+from unips_jax.config import OptimConfig
+
+
+def make_schedule(config: OptimConfig, steps: int) -> optax.Schedule:
+    """The learning rate at every step.
+
+    Args:
+        config: of the optimiser.
+        steps: length of the run.
+
+    Returns:
+        A function of the step.
+    """
+    if config.schedule == "cosine":
+        return optax.warmup_cosine_decay_schedule(
+            0.0 if config.warmup_steps else config.learning_rate,
+            config.learning_rate,
+            config.warmup_steps,
+            max(steps, config.warmup_steps + 1),
+        )
+    decay = optax.exponential_decay(
+        config.learning_rate, config.decay_every, config.decay_rate, staircase=True
+    )
+    if not config.warmup_steps:
+        return decay
+    warmup = optax.linear_schedule(0.0, config.learning_rate, config.warmup_steps)
+    return optax.join_schedules([warmup, decay], [config.warmup_steps])
+
+
+def make_optimizer(config: OptimConfig, steps: int) -> optax.GradientTransformation:
+    """The whole update rule.
+
+    Args:
+        config: of the optimiser.
+        steps: length of the run.
+
+    Returns:
+        An optax transformation.
+    """
+    adamw = optax.adamw(
+        make_schedule(config, steps),
+        b2=config.b2,
+        weight_decay=config.weight_decay,
+        mask=is_kernel,
+    )
+    if not config.clip_norm:
+        return adamw
+    return optax.chain(optax.clip_by_global_norm(config.clip_norm), adamw)
+
+
+def is_kernel(params: Any) -> Any:
+    """Marks the parameters that weight decay shrinks: kernels, by their name."""
+    return jax.tree_util.tree_map_with_path(
+        lambda path, _: getattr(path[-1], "key", None) == "kernel", params
+    )

@@ -1,0 +1,269 @@
+"""Training: `python -m unips_jax.train --config configs/tiny.py --workdir runs/tiny`.
+
+Any field of the configuration can be given too, as in `--optim.learning-rate 3e-4`. The
+same command resumes a run that was stopped or killed, exactly: everything follows from
+the seed and the step, and what does not is in the checkpoint.
+"""
+
+import argparse
+import functools
+import json
+import os
+import runpy
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+from jax.sharding import Mesh
+
+from unips_jax.checkpoint import Checkpoints
+from unips_jax.command import InputError, command
+from unips_jax.config import Config, to_json
+from unips_jax.data.pipeline import draw_num_images
+from unips_jax.scenes import render_scene
+from unips_jax.sharding import (
+    batch_sharding,
+    make_mesh,
+    replicated,
+    state_sharding,
+)
+from unips_jax.train_log import TrainLog
+from unips_jax.train_state import TrainState, init_state
+from unips_jax.train_step import Batch, train_step
+from unips_jax.validation import validate
+from unips_jax.weights import load_weights, save_weights
+
+
+def train(
+    config: Config, workdir: Path, *, init_weights: str | None = None
+) -> TrainState:
+    """Trains, from nothing or from the newest checkpoint in `workdir`.
+
+    Writes `checkpoints/`, `metrics.jsonl`, and at every validation that improves
+    `best.safetensors`.
+
+    Args:
+        config: of the run.
+        workdir: its folder.
+        init_weights: weights to start a new run from.
+
+    Returns:
+        The state after the last step, or at SIGTERM.
+
+    Raises:
+        InputError: if the folder holds a run with another configuration.
+        FloatingPointError: if the loss is not finite; the batch is saved.
+    """
+    workdir.mkdir(parents=True, exist_ok=True)
+    mesh = make_mesh(config.mesh)
+    key = jax.random.key(config.train.seed)
+    init_key, scene_key, step_key = jax.random.split(key, 3)
+
+    init = functools.partial(init_state, config)
+    shapes = jax.eval_shape(init, init_key)
+    shardings = state_sharding(shapes, mesh)
+    step_jit = jax.jit(
+        functools.partial(train_step, config=config),
+        donate_argnums=0,
+        out_shardings=(shardings, replicated(mesh)),
+    )
+    with Checkpoints(workdir, config) as checkpoints:
+        if checkpoints.latest_step() is None:
+            state = jax.jit(init, out_shardings=shardings)(init_key)
+            if init_weights is not None:
+                state = _start_from(state, init_weights, config)
+            record: dict[str, Any] = {"best_mae_deg": None}
+        else:
+            abstract = jax.tree.map(_with_sharding, shapes, shardings)
+            state, record = checkpoints.restore(abstract)
+        first = int(state.step)
+        log = TrainLog(workdir, first, config.train.steps)
+        batches = _batches(config, scene_key, mesh, first)
+        stop = _stop_on_sigterm()
+        pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
+        for step in range(first + 1, config.train.steps + 1):
+            batch = next(batches)
+            state, metrics = step_jit(state, batch, step_key)
+            if pending is not None:
+                _check_finite(*pending, workdir)
+            pending = (step, batch, metrics)
+            if step % config.train.log_every == 0:
+                log.metrics(step, jax.device_get(metrics))
+            last = step == config.train.steps or stop.is_set
+            if last or step % config.train.validate_every == 0:
+                _check_finite(*pending, workdir)
+            if step % config.train.validate_every == 0 or step == config.train.steps:
+                record = _validate_and_keep_best(config, state, record, workdir, log)
+            if last or step % config.train.checkpoint_every == 0:
+                _check_finite(*pending, workdir)
+                checkpoints.save(step, state, record)
+            if stop.is_set:
+                log.line(f"stopped by SIGTERM after step {step}; checkpoint saved")
+                break
+    return state
+
+
+def _with_sharding(shape: jax.ShapeDtypeStruct, sharding: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape.shape, shape.dtype, sharding=sharding)
+
+
+def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
+    model, params = load_weights(source)
+    if model != config.model:
+        raise InputError(
+            f"--init-weights {source}: expected weights of the run's network, "
+            f"{to_json(config.model)}, got {to_json(model)}"
+        )
+    place = functools.partial(
+        jax.tree.map, lambda new, old: jax.device_put(new, old.sharding)
+    )
+    ema = None if state.ema_params is None else place(params, state.ema_params)
+    return state.replace(params=place(params, state.params), ema_params=ema)
+
+
+def _batches(
+    config: Config, scene_key: jax.Array, mesh: Mesh, first: int
+) -> Iterator[Batch]:
+    """The batches of the steps after `first`; each follows from its step."""
+    sharding = batch_sharding(mesh)
+
+    # Scenes always have the largest number of images: one compilation serves all.
+    @functools.partial(jax.jit, out_shardings=sharding)
+    def render(step: jax.Array) -> Batch:
+        keys = jax.random.split(
+            jax.random.fold_in(scene_key, step), config.data.batch_size
+        )
+        scene = jax.vmap(
+            functools.partial(
+                render_scene,
+                size=config.data.image_size,
+                num_images=max(config.data.num_images),
+                config=config.scenes,
+            )
+        )(keys)
+        return {
+            "images": scene.images,
+            "mask": scene.mask,
+            "normals": scene.normals,
+        }
+
+    step = first
+    while True:
+        step += 1
+        num_images = draw_num_images(config.data.num_images, config.train.seed, step)
+        batch = render(np.int32(step))
+        yield {**batch, "images": batch["images"][:, :num_images]}
+
+
+class _Stop:
+    """Set once the process has been asked to stop."""
+
+    is_set = False
+
+
+def _stop_on_sigterm() -> _Stop:
+    stop = _Stop()
+
+    def handle(signum: int, frame: Any) -> None:
+        stop.is_set = True
+
+    signal.signal(signal.SIGTERM, handle)
+    return stop
+
+
+def _check_finite(
+    step: int, batch: Batch, metrics: dict[str, jax.Array], workdir: Path
+) -> None:
+    loss = float(metrics["loss"])
+    if np.isfinite(loss) and np.isfinite(float(metrics["grad_norm"])):
+        return
+    path = workdir / f"nonfinite_step{step}.npz"
+    np.savez(path, **jax.device_get(batch))
+    raise FloatingPointError(
+        f"step {step}: loss {loss} or its gradient is not finite; the batch is in "
+        f"{path}. Lower --optim.learning-rate or continue from an earlier checkpoint"
+    )
+
+
+def _validate_and_keep_best(
+    config: Config,
+    state: TrainState,
+    record: dict[str, Any],
+    workdir: Path,
+    log: TrainLog,
+) -> dict[str, Any]:
+    params = state.released_params()
+    scores = validate(
+        params,
+        config.model,
+        config.scenes,
+        count=config.train.validation_scenes,
+        num_images=config.train.validation_images,
+        size=config.data.image_size,
+    )
+    step = int(state.step)
+    log.metrics(step, {f"validation/{name}": v for name, v in scores.items()})
+    best = record["best_mae_deg"]
+    if best is not None and best <= scores["mae"]:
+        return record
+    save_weights(
+        workdir / "best.safetensors",
+        config.model,
+        jax.device_get(params),
+        record={
+            "step": step,
+            "config": json.loads(to_json(config)),
+            "validation": scores,
+        },
+    )
+    return {**record, "best_mae_deg": scores["mae"], "best_step": step}
+
+
+def load_config(path: str) -> Config:
+    """Runs a configuration file and returns what its `get_config()` gives.
+
+    Raises:
+        InputError: if there is no such file or function.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"--config {path}: expected a Python file, found nothing")
+    names = runpy.run_path(path)
+    if "get_config" not in names:
+        raise InputError(f"--config {path}: expected a function get_config() in it")
+    return names["get_config"]()
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """`python -m unips_jax.train` and `unips train`."""
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="All fields: --config FILE --workdir DIR --fields --help",
+    )
+    parser.add_argument("--config", required=True, help="file with get_config()")
+    parser.add_argument("--workdir", required=True, type=Path)
+    parser.add_argument("--init-weights", help="start a new run from these weights")
+    parser.add_argument(
+        "--distributed", action="store_true", help="join the other processes first"
+    )
+    arguments, overrides = parser.parse_known_args(argv)
+    if arguments.distributed:
+        jax.distributed.initialize()
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "unips_jax"
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    config = tyro.cli(Config, default=load_config(arguments.config), args=overrides)
+    start = time.monotonic()
+    state = train(config, arguments.workdir, init_weights=arguments.init_weights)
+    minutes = (time.monotonic() - start) / 60
+    print(f"step {int(state.step)} after {minutes:.1f} minutes: {arguments.workdir}")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

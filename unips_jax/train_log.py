@@ -1,0 +1,59 @@
+"""What a training run tells: lines, JSON lines, and TensorBoard if installed."""
+
+import json
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+
+
+class TrainLog:
+    """Writes `metrics.jsonl` and prints, in the first process only."""
+
+    def __init__(self, workdir: Path, first: int, steps: int) -> None:
+        """Opens the log; lines of steps after `first` are dropped, they come again.
+
+        Args:
+            workdir: of the run.
+            first: steps already done.
+            steps: length of the run.
+        """
+        self._active = jax.process_index() == 0
+        self._path = workdir / "metrics.jsonl"
+        self._first, self._steps, self._start = first, steps, time.monotonic()
+        self._tensorboard = _tensorboard(workdir) if self._active else None
+        if self._active and self._path.exists():
+            lines = self._path.read_text().splitlines()
+            kept = [x for x in lines if json.loads(x)["step"] <= first]
+            self._path.write_text("".join(f"{line}\n" for line in kept))
+
+    def metrics(self, step: int, values: Mapping[str, Any]) -> None:
+        """Records the metrics of a step."""
+        if not self._active:
+            return
+        numbers = {name: float(value) for name, value in values.items()}
+        with self._path.open("a") as file:
+            file.write(json.dumps({"step": step, **numbers}) + "\n")
+        if self._tensorboard is not None:
+            for name, value in numbers.items():
+                self._tensorboard.add_scalar(name, value, step)
+        per_step = (time.monotonic() - self._start) / max(step - self._first, 1)
+        minutes = per_step * (self._steps - step) / 60
+        shown = " ".join(f"{name} {value:.3g}" for name, value in numbers.items())
+        self.line(f"step {step}/{self._steps} ({minutes:.0f} min left) {shown}")
+
+    def line(self, text: str) -> None:
+        """Prints a line."""
+        if self._active:
+            print(text, file=sys.stderr, flush=True)
+
+
+def _tensorboard(workdir: Path) -> Any:
+    try:
+        from tensorboardX import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(str(workdir / "tensorboard"))

@@ -1,0 +1,50 @@
+"""What a training step changes."""
+
+from typing import Any
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax.config import Config
+from unips_jax.optim import make_optimizer
+from unips_jax.weights import init_params
+
+
+@flax.struct.dataclass
+class TrainState:
+    """The state of a training run.
+
+    Attributes:
+        step: steps done, int32.
+        params: the network's parameters, float32.
+        opt_state: of the optimiser.
+        ema_params: averaged parameters; None without averaging.
+    """
+
+    step: Array
+    params: Any
+    opt_state: Any
+    ema_params: Any
+
+    def released_params(self) -> Any:
+        """The parameters to validate and release."""
+        return self.params if self.ema_params is None else self.ema_params
+
+
+def init_state(config: Config, key: Array) -> TrainState:
+    """The state training starts from; pure, so that it can be jitted.
+
+    Args:
+        config: of the run.
+        key: for the parameters.
+    """
+    params = init_params(config.model, key)
+    optimizer = make_optimizer(config.optim, config.train.steps)
+    return TrainState(
+        step=jnp.zeros((), jnp.int32),
+        params=params,
+        opt_state=optimizer.init(params),
+        ema_params=jax.tree.map(jnp.copy, params) if config.optim.ema_decay else None,
+    )

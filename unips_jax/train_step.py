@@ -1,0 +1,161 @@
+"""One training step: augment, losses and gradients, update, average."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from unips_jax.config import Config
+from unips_jax.losses import object_loss
+from unips_jax.optim import make_optimizer
+from unips_jax.train_state import TrainState
+
+Batch = dict[str, Array]
+
+
+def augment(
+    images: Array, mask: Array, normals: Array, key: Array
+) -> tuple[Array, Array, Array]:
+    """The paper's four augmentations of one object, each with probability one half.
+
+    Args:
+        images: `[N, H, H, 3]`.
+        mask: `[H, H]`.
+        normals: `[H, H, 3]`.
+        key: for the draws.
+
+    Returns:
+        The same, flipped left-right (n_x negated), up-down (n_y negated), transposed
+        (n becomes (-n_y, -n_x, n_z)), and with the colours of each image permuted.
+
+    Source: UniPS (Ikehata, CVPR 2022), supplement.
+    """
+    flip_key, colour_key, order_key = jax.random.split(key, 3)
+    horizontal, vertical, transpose = jax.random.bernoulli(flip_key, 0.5, (3,))
+
+    def apply(
+        images: Array, mask: Array, normals: Array, when: Array, change: Any, turn: Any
+    ) -> tuple[Array, Array, Array]:
+        return (
+            jnp.where(when, jax.vmap(change)(images), images),
+            jnp.where(when, change(mask), mask),
+            jnp.where(when, turn(change(normals)), normals),
+        )
+
+    scene = (images, mask, normals)
+    signs = jnp.array([-1, 1, 1], normals.dtype)
+    scene = apply(*scene, horizontal, lambda x: x[:, ::-1], lambda n: n * signs)
+    signs = jnp.array([1, -1, 1], normals.dtype)
+    scene = apply(*scene, vertical, lambda x: x[::-1], lambda n: n * signs)
+    signs = jnp.array([-1, -1, 1], normals.dtype)
+    scene = apply(
+        *scene,
+        transpose,
+        lambda x: jnp.swapaxes(x, 0, 1),
+        lambda n: n[..., jnp.array([1, 0, 2])] * signs,
+    )
+    images, mask, normals = scene
+    n = images.shape[0]
+    orders = jax.vmap(lambda k: jax.random.permutation(k, 3))(
+        jax.random.split(order_key, n)
+    )
+    permuted = jax.random.bernoulli(colour_key, 0.5, (n,))
+    orders = jnp.where(permuted[:, None], orders, jnp.arange(3))
+    # As a product: gathers along the last axis are slow.
+    mixing = jax.nn.one_hot(orders, 3, dtype=images.dtype)  # [N, new, old]
+    return jnp.einsum("nhwc,ndc->nhwd", images, mixing), mask, normals
+
+
+def batch_loss(
+    params: Any, batch: Batch, key: Array, *, config: Config
+) -> tuple[Array, dict[str, Array]]:
+    """Mean loss over a batch of objects.
+
+    Args:
+        params: the network's parameters.
+        batch: `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`.
+        key: for augmentation, pixels and dropout.
+        config: of the run.
+
+    Returns:
+        The loss and the mean of the objects' metrics.
+    """
+    data = config.data
+    num_images = batch["images"].shape[1]
+
+    def one(images: Array, mask: Array, normals: Array, key: Array):
+        augment_key, loss_key = jax.random.split(key)
+        if data.augment:
+            images, mask, normals = augment(images, mask, normals, augment_key)
+        return object_loss(
+            params,
+            images,
+            mask,
+            normals,
+            loss_key,
+            config=config.model,
+            num_pixels=data.pixels_for(num_images),
+            grid_loss=data.grid_loss,
+        )
+
+    keys = jax.random.split(key, batch["images"].shape[0])
+    losses, metrics = jax.vmap(one)(
+        batch["images"], batch["mask"], batch["normals"], keys
+    )
+    return jnp.mean(losses), jax.tree.map(jnp.mean, metrics)
+
+
+def train_step(
+    state: TrainState, batch: Batch, key: Array, *, config: Config
+) -> tuple[TrainState, dict[str, Array]]:
+    """Advances training by one step; pure.
+
+    Args:
+        state: before the step.
+        batch: see `batch_loss`.
+        key: the run's key; the step's own follows from `state.step`.
+        config: of the run.
+
+    Returns:
+        The state after it, and metrics: loss, mae_deg, grad_norm.
+    """
+    key = jax.random.fold_in(key, state.step)
+    gradient = jax.value_and_grad(
+        functools.partial(batch_loss, config=config), has_aux=True
+    )
+    if config.optim.accumulate == 1:
+        (loss, metrics), grads = gradient(state.params, batch, key)
+    else:
+        (loss, metrics), grads = _accumulate(
+            gradient, state.params, batch, key, config.optim.accumulate
+        )
+    optimizer = make_optimizer(config.optim, config.train.steps)
+    updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
+    params = optax.apply_updates(state.params, updates)
+    ema_params = state.ema_params
+    if ema_params is not None:
+        # Short memory at first, so that the average forgets the initial parameters.
+        decay = jnp.minimum(
+            config.optim.ema_decay, (1 + state.step) / (10 + state.step)
+        )
+        ema_params = optax.incremental_update(params, ema_params, 1 - decay)
+    metrics = {"loss": loss, "grad_norm": optax.global_norm(grads), **metrics}
+    return TrainState(state.step + 1, params, opt_state, ema_params), metrics
+
+
+def _accumulate(gradient, params: Any, batch: Batch, key: Array, parts: int):
+    """Means of values and gradients over microbatches, one at a time."""
+    keys = jax.random.split(key, parts)
+    split = jax.tree.map(lambda x: x.reshape(parts, -1, *x.shape[1:]), batch)
+
+    def add(total, part):
+        return jax.tree.map(jnp.add, total, gradient(params, *part)), None
+
+    first = jax.tree.map(lambda x: x[0], (split, keys))
+    shapes = jax.eval_shape(gradient, params, *first)
+    zero = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    total, _ = jax.lax.scan(add, zero, (split, keys))
+    return jax.tree.map(lambda x: x / parts, total)

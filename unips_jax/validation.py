@@ -1,0 +1,120 @@
+"""Angular errors on held-out scenes, in groups.
+
+The scenes come from keys that training never uses. A constant normal towards the
+viewer is scored beside the network: a result near it means that something is broken.
+"""
+
+import argparse
+import functools
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from unips_jax.command import command, track
+from unips_jax.config import ModelConfig
+from unips_jax.estimation import estimate_normals
+from unips_jax.metrics import mean_angular_error_deg
+from unips_jax.scenes import (
+    LIGHT_KINDS,
+    MATERIALS,
+    SHAPE_KINDS,
+    Scene,
+    SceneConfig,
+    render_scene,
+)
+from unips_jax.weights import load_weights
+
+# Training keys are folded from small seeds; this one is apart from all of them.
+_HELD_OUT_SEED = 0x7E57
+
+
+def held_out_key(index: int) -> jax.Array:
+    """The key of held-out scene number `index`."""
+    return jax.random.fold_in(jax.random.key(_HELD_OUT_SEED), index)
+
+
+def validate(
+    params: Any,
+    model: ModelConfig,
+    scenes: SceneConfig,
+    *,
+    count: int,
+    num_images: int,
+    size: int,
+    description: str = "validating",
+    **scene_options: Any,
+) -> dict[str, float]:
+    """Scores a network on held-out scenes.
+
+    Args:
+        params: the network's parameters.
+        model: its configuration.
+        scenes: the distribution of scenes.
+        count: how many scenes.
+        num_images: images of each; the scenes' objects do not depend on it.
+        size: side of the images in pixels.
+        description: shown with the progress.
+        **scene_options: passed to `render_scene`, such as `light_kind`.
+
+    Returns:
+        Mean angular errors in degrees: "mae" over all scenes, "constant" for a normal
+        towards the viewer, and one per group, such as "light/directional".
+    """
+    options = dict(size=size, num_images=num_images, config=scenes, **scene_options)
+    render = jax.jit(functools.partial(render_scene, **options))
+    errors: dict[str, list[float]] = {}
+    for index in track(range(count), description):
+        scene = render(held_out_key(index))
+        normals = estimate_normals(
+            params, scene.images, scene.mask, config=model, frame="image"
+        )
+        error = float(mean_angular_error_deg(normals, scene.normals, scene.mask))
+        constant = mean_angular_error_deg(
+            jnp.array([0.0, 0.0, 1.0]), scene.normals, scene.mask
+        )
+        errors.setdefault("constant", []).append(float(constant))
+        for name in ("mae", *_groups(scene)):
+            errors.setdefault(name, []).append(error)
+    return {name: float(np.mean(values)) for name, values in sorted(errors.items())}
+
+
+def _groups(scene: Scene) -> list[str]:
+    camera = "perspective" if scene.focal > 0 else "orthographic"
+    return [
+        f"light/{LIGHT_KINDS[int(scene.light_kind)]}",
+        f"material/{MATERIALS[int(scene.material)]}",
+        f"shape/{SHAPE_KINDS[int(scene.shape_kind)]}",
+        f"camera/{camera}",
+    ]
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """`python -m unips_jax.validation`: prints the scores of weights as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--weights", default="tiny", help="shipped name or file")
+    parser.add_argument("--scenes", type=int, default=256, help="held-out scenes")
+    parser.add_argument("--images", type=int, nargs="+", default=[8])
+    parser.add_argument("--size", type=int, default=128, help="pixels")
+    arguments = parser.parse_args(argv)
+    model, params = load_weights(arguments.weights)
+    for num_images in arguments.images:
+        scores = validate(
+            params,
+            model,
+            SceneConfig(),
+            count=arguments.scenes,
+            num_images=num_images,
+            size=arguments.size,
+            description=f"{num_images} images",
+        )
+        rounded = {name: round(score, 2) for name, score in scores.items()}
+        print(json.dumps({"images": num_images, **rounded}))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
