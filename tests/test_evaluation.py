@@ -2,8 +2,10 @@
 
 import csv
 import json
+from functools import partial
 
 import evaluation_data as data
+import jax
 import numpy as np
 import pytest
 from scipy.io import loadmat
@@ -20,7 +22,7 @@ from unips_jax.evaluation.protocols import Box, Protocol
 from unips_jax.evaluation.scores import from_json, score
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.tables import files_of
-from unips_jax.weights import random_weights, save_weights
+from unips_jax.weights import init_params, save_weights
 
 NO_WEIGHTS = UnipsOptions(())
 
@@ -212,7 +214,13 @@ def small_weights(path, seed=0):
         pma_mlp_dim=16,
         predictor_dim=8,
     )
-    save_weights(path, config, random_weights(config, seed=seed))
+    # Shapes alone are traced: initialising costs compiling for nothing.
+    shapes = jax.eval_shape(partial(init_params, config), jax.random.key(0))
+    rng = np.random.default_rng(seed)
+    params = jax.tree.map(
+        lambda leaf: 0.3 * rng.standard_normal(leaf.shape, np.float32), shapes
+    )
+    save_weights(path, config, params)
     return path
 
 

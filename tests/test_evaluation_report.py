@@ -21,6 +21,7 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))
 @pytest.fixture(scope="module")
 def work(tmp_path_factory):
     root = data.make_ps_wild(tmp_path_factory.mktemp("data"), size=32)
+    (root / "mixed").rename(root / "dusk")  # a lighting the paper does not know
     work = tmp_path_factory.mktemp("work")
     arguments = [
         *("--benchmark", "ps-wild", "--root", str(root), "--workdir", str(work)),

@@ -74,34 +74,39 @@ def kill_after(process, work, *, files, pause):
     process.communicate()
 
 
-def check_kills(root, work, uninterrupted, *, moments, seed):
-    rng = random.Random(seed)
-    work.mkdir()
-    # Results and their maps are 54 files, tables, sheets and the report 20 more.
-    for files in sorted(rng.randint(0, 72) for _ in range(moments)):
-        before = results(work)
-        process = start(root, work)
-        kill_after(process, work, files=files, pause=rng.uniform(0, 0.02))
-        after = results(work)
-        assert {path: after.get(path) for path in before} == before
+def check_kill(root, work, rng, *, files):
+    """Kills an evaluation; what was finished before stays untouched."""
     before = results(work)
-    finish(start(root, work))
+    process = start(root, work)
+    kill_after(process, work, files=files, pause=rng.uniform(0, 0.02))
+    after = results(work)
+    assert {path: after.get(path) for path in before} == before
+
+
+def check_finish(root, work, uninterrupted, *, processes):
+    """Finishes what is left, computing nothing again, with the same bytes."""
+    before = results(work)
+    for process in [start(root, work) for _ in range(processes)]:
+        finish(process)
     after = results(work)
     assert {path: after[path] for path in before} == before
     assert published(work) == uninterrupted
 
 
-def test_killed_twice_and_restarted(root, tmp_path, uninterrupted):
-    check_kills(root, tmp_path / "work", uninterrupted, moments=2, seed=0)
+def test_killed_once_and_finished_by_two_processes(root, tmp_path, uninterrupted):
+    check_kill(root, tmp_path, random.Random(0), files=20)
+    check_finish(root, tmp_path, uninterrupted, processes=2)
 
 
 @pytest.mark.slow
 def test_killed_at_ten_random_moments(root, tmp_path, uninterrupted):
-    check_kills(root, tmp_path / "work", uninterrupted, moments=10, seed=1)
+    rng = random.Random(1)
+    # Results and their maps are 54 files, tables, sheets and the report 20 more.
+    for files in sorted(rng.randint(0, 72) for _ in range(10)):
+        check_kill(root, tmp_path, rng, files=files)
+    check_finish(root, tmp_path, uninterrupted, processes=1)
 
 
-def test_two_processes_share_a_work_folder(root, tmp_path, uninterrupted):
-    pair = [start(root, tmp_path) for _ in range(2)]
-    for process in pair:
-        finish(process)
-    assert published(tmp_path) == uninterrupted
+@pytest.mark.slow
+def test_two_processes_from_the_start(root, tmp_path, uninterrupted):
+    check_finish(root, tmp_path, uninterrupted, processes=2)

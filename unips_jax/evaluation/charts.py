@@ -64,7 +64,11 @@ def images_chart(results: Results, lighting: str | None) -> bytes:
             continue
         drawn = True
         axes.plot(*zip(*known, strict=True), label=label, marker="o", **_line(i))
-    rows = [r for r in PUBLISHED.get(results.benchmark, ()) if r.group == "images"]
+    rows = [
+        row
+        for row in PUBLISHED.get(results.benchmark, ())
+        if row.group == "images" and lighting in row.scores
+    ]
     if drawn and rows and lighting is not None:
         axes.plot(
             [row.images or 0 for row in rows],
