@@ -52,7 +52,7 @@ class SceneConfig:
     focal_range_mm: tuple[float, float] = (12.0, 150.0)
     rotation_candidates: int = 3
     min_entropy_bits: float = 4.0
-    num_directions: int = 32
+    num_directions: int = 24
     interreflection: bool = True
     sensor: bool = True
     linear_rate: float = 0.6

@@ -109,32 +109,67 @@ def _sphere_interval(origin: Point, direction: Point) -> tuple[Array, Array]:
     return middle - half, middle + half
 
 
-def _trace(
-    shape: Shape,
-    to_object: Array,
-    rays: tuple[Point, Point],
-    start: Array,
-    *,
-    steps: int,
-    cone: Array | float = 0.0,
+def _approach(
+    shape: Shape, to_object: Array, rays: tuple[Point, Point], cone: Array, steps: int
 ) -> Array:
-    """Marches along rays; with a cone, stops where the surface enters it."""
-    _, far = _sphere_interval(*rays)
+    """Sphere-traces until the surface enters a cone around the ray."""
+    near, far = _sphere_interval(*rays)
 
     def step(_: int, t: Array) -> Array:
         d = world_distance(shape, to_object, along(*rays, t))
         return jnp.minimum(t + jnp.maximum(d - cone, 0.0), far)
 
-    return jax.lax.fori_loop(0, steps, step, start)
+    return jax.lax.fori_loop(0, steps, step, near)
 
 
-def _gradient(function, point: Point) -> Point:
-    """Derivative of a field, forward: the fields are loops, dear to reverse."""
-    shape = point[0].shape
-    tangents = jnp.broadcast_to(jnp.eye(3)[:, :, None, None], (3, 3, *shape))
-    directional = jax.vmap(lambda t: jax.jvp(function, (point,), (tuple(t),))[1])
-    x, y, z = directional(tangents)
-    return x, y, z
+def _trace(
+    shape: Shape,
+    to_object: Array,
+    rays: tuple[Point, Point],
+    start: Array,
+    least: Array | float,
+    steps: int,
+) -> tuple[Array, Array]:
+    """Sphere-traces rays, at least by `least` per step until one is inside.
+
+    The least step carries rays past the walls they graze; once inside, the last two
+    distances give the crossing.
+
+    Returns:
+        Where the rays arrived and the distance one step before.
+    """
+    _, far = _sphere_interval(*rays)
+
+    def step(_: int, carry: tuple[Array, Array, Array, Array]):
+        t, last, moved, least = carry
+        d = world_distance(shape, to_object, along(*rays, t))
+        inside = d < 0
+        back = d * jnp.maximum(moved, 0.0) / jnp.maximum(last - d, 1e-6)
+        least = jnp.where(inside, 0.0, least)
+        advance = jnp.where(inside, back, jnp.maximum(d, least))
+        return jnp.minimum(t + advance, far), d, advance, least
+
+    one = jnp.ones_like(start)
+    carry = (start, 1e3 * one, 1e-4 * one, least * one)
+    t, last, _, _ = jax.lax.fori_loop(0, steps, step, carry)
+    return t, last
+
+
+def _value_and_gradient(function, point: Point) -> Array:
+    """A field and its derivative, `[4, ...]`: value, d/dx, d/dy, d/dz.
+
+    Forward and in a loop: the fields are loops, dear to reverse, and written out the
+    compiler repeats the value for every consumer.
+    """
+
+    def entry(index: Array) -> Array:
+        tangent = tuple(
+            jnp.full_like(point[0], 1.0) * (index == i + 1) for i in range(3)
+        )
+        value, slope = jax.jvp(function, (point,), (tangent,))
+        return jnp.where(index == 0, value, slope)
+
+    return jax.lax.map(entry, jnp.arange(4))
 
 
 def normal_entropy_bits(normals: Array, mask: Array) -> Array:
@@ -170,11 +205,11 @@ def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array]:
     u, v = pixel_grid(CANDIDATE_SIZE)
     rays = camera_rays(camera, u, v)
     near, _ = _sphere_interval(*rays)
-    t = _trace(shape, to_object, rays, near, steps=10)
+    t, _ = _trace(shape, to_object, rays, near, 1 / CANDIDATE_SIZE, 10)
     point = along(*rays, t)
-    hit = world_distance(shape, to_object, point) < 0.7 / CANDIDATE_SIZE
-    gradient = _gradient(lambda p: world_distance(shape, to_object, p), point)
-    normals = jnp.stack(normalize(gradient), -1)
+    fields = _value_and_gradient(lambda p: world_distance(shape, to_object, p), point)
+    hit = fields[0] < 0.7 / CANDIDATE_SIZE
+    normals = jnp.stack(normalize(tuple(fields[1:])), -1)  # type: ignore[arg-type]
     margin = 0.7 / CANDIDATE_SIZE
     bounds = [
         (jnp.min(jnp.where(hit, c, 1.0)), jnp.max(jnp.where(hit, c, -1.0)))
@@ -351,34 +386,34 @@ def _visible_surface(
     pixel = 2 * camera.window[2] / size
     factor = 4
     rays = camera_rays(camera, *pixel_grid(size // factor))
-    near, _ = _sphere_interval(*rays)
-    start = _trace(shape, to_object, rays, near, steps=12, cone=0.75 * factor * pixel)
+    start = _approach(shape, to_object, rays, 0.75 * factor * pixel, 12)
     start = jnp.repeat(jnp.repeat(start, factor, 0), factor, 1)
     rays = camera_rays(camera, *pixel_grid(size))
     near, _ = _sphere_interval(*rays)
     start = jnp.maximum(start - 0.5 * factor * pixel, near)
-    t = _trace(shape, to_object, rays, start, steps=12)
+    t, base = _trace(shape, to_object, rays, start, pixel, 13)
+    mask = base < 0.5 * pixel
 
     def height(point: Point) -> Array:
         return surface(shape, object_point(shape, to_object, point)) / shape.radius
 
-    t = jax.lax.fori_loop(0, 3, lambda _, t: t + 0.9 * height(along(*rays, t)), t)
+    def secant(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        t, last, moved = carry
+        value = height(along(*rays, t))
+        slope = (last - value) / jnp.where(jnp.abs(moved) < 1e-6, 1e-6, moved)
+        moved = value / jnp.clip(slope, 0.15, 1.5)
+        moved = jnp.clip(moved, -2 * pixel, 2 * pixel)
+        return t + moved, value, moved
+
+    carry = (t, jnp.full_like(t, 1.0), jnp.full_like(t, 1.0))
+    t = jax.lax.fori_loop(0, 3, secant, carry)[0]
     point = along(*rays, t)
-    base = world_distance(shape, to_object, point)
-    base_gradient = _gradient(lambda p: world_distance(shape, to_object, p), point)
-
-    def relief(point: Point) -> Array:
-        return detail(shape, object_point(shape, to_object, point))
-
-    bump, pullback = jax.vjp(relief, point)
-    (bump_gradient,) = pullback(jnp.ones_like(bump))
-    share = shape.step_scale / shape.radius
-    value = base - share * bump
-    normal = normalize(along(base_gradient, bump_gradient, -share))
+    fields = _value_and_gradient(height, point)
+    normal = normalize(tuple(fields[1:]))  # type: ignore[arg-type]
+    bump = detail(shape, object_point(shape, to_object, point))
     view = tuple(-c for c in rays[1])
     away = jnp.minimum(dot(normal, view), 0.0)  # type: ignore[arg-type]
     normal = normalize(along(normal, view, -away))  # type: ignore[arg-type]
-    mask = value < 0.5 * pixel
     return mask, point, normal, view, bump  # type: ignore[return-value]
 
 

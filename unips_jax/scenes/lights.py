@@ -14,7 +14,7 @@ from jax import Array, lax
 from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.noise import Point, dot, rotate, sine
 
-NUM_LOBES = 8
+NUM_LOBES = 6
 _DIRECTIONAL, _ENVIRONMENT, _MIXED, _POINT, _AREA = range(5)
 
 
@@ -62,8 +62,9 @@ class Environment(NamedTuple):
 
 
 def _smooth_step(x: Array) -> Array:
-    """From -0.5 to 0.5 with tails like GGX's."""
-    return 0.5 * x * lax.rsqrt(1 + x * x)
+    """From -0.5 at x <= -1.5 to 0.5 at x >= 1.5."""
+    x = jnp.clip(x * (2 / 3), -1.0, 1.0)
+    return x * (0.75 - 0.25 * x * x)
 
 
 def environment_radiance(

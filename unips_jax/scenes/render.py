@@ -85,7 +85,7 @@ def _split(vectors: Array) -> Point:
 
 
 def key_clearance(
-    geometry: Geometry, vector: Array, near: Array, *, steps: int = 12
+    geometry: Geometry, vector: Array, near: Array, *, steps: int = 10
 ) -> Array:
     """Clearance of the rays to a key light, `[H, W]`.
 
@@ -113,8 +113,7 @@ def shade_key_light(
     vector: Array,
     near: Array,
     radius: Array,
-    *,
-    steps: int = 12,
+    clear: Array,
 ) -> Array:
     """Radiance under one key light of unit white colour, `[3, H, W]`."""
     point, normal = _split(geometry.positions), _split(geometry.normals)
@@ -124,9 +123,7 @@ def shade_key_light(
     lit = jnp.maximum(n_l, 0.0)
     size = jnp.where(near > 0, radius * jnp.sqrt(attenuation), radius)
     sharpness = 1 / jnp.maximum(size, 0.02)
-    seen = soft_visibility(
-        key_clearance(geometry, vector, near, steps=steps), n_l, sharpness
-    )
+    seen = soft_visibility(clear, n_l, sharpness)
     half = normalize((light[0] + view[0], light[1] + view[1], light[2] + view[2]))
     alpha = jnp.minimum(surface.roughness**2 + 0.4 * jnp.minimum(size, 1.0), 1.0)
     kd, ks, white = reflectance(
@@ -212,9 +209,12 @@ def _radiance(
     config: SceneConfig,
 ) -> Array:
     """Linear radiance of every image, `[N, 3, H, W]`."""
+    clear = jax.vmap(lambda *light: key_clearance(geometry, *light))(
+        keys.vector, keys.near
+    )
     direct = jax.lax.map(
         lambda light: shade_key_light(geometry, surface, *light),
-        (keys.vector, keys.near, keys.radius),
+        (keys.vector, keys.near, keys.radius, clear),
     )
     direct = direct * keys.color[..., None, None]
     mask = geometry.mask.astype(jnp.float32)

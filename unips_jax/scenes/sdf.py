@@ -14,10 +14,11 @@ from jax import Array, lax
 
 from unips_jax.scenes.noise import Point, dot, gradient_noise, rotate, sine
 
-NUM_UNIONS = 5
+NUM_UNIONS = 4
 NUM_CUTS = 2
 NUM_SLOTS = NUM_UNIONS + NUM_CUTS
 NUM_WAVES = 5
+SOLID = 8.0
 
 
 class Primitives(NamedTuple):
@@ -26,11 +27,10 @@ class Primitives(NamedTuple):
     Attributes:
         center: `[K, 3]`.
         rotation: `[K, 3, 3]`, from the object's frame to the primitive's.
-        inverse_scale: `[K, 3]`, coordinates are multiplied by it (ellipsoids).
-        min_scale: `[K]`, smallest scale, which keeps distances from overshooting.
+        scale: `[K, 3]`, by which the primitive is stretched (ellipsoids).
         extent: `[K, 3]`, half extents before scaling.
         corner: `[K]`, radius of the corners of the x-y rectangle.
-        hole: `[K]`, half thickness of the ring; 0 for solid primitives.
+        hole: `[K]`, half thickness of the ring; `SOLID` for solid primitives.
         edge: `[K]`, radius of the edges of the extrusion.
         blend: `[K]`, width of the smooth union with (or cut from) what came before.
         absent: `[K]`, added to the distance; large where the slot is empty.
@@ -38,14 +38,24 @@ class Primitives(NamedTuple):
 
     center: Array
     rotation: Array
-    inverse_scale: Array
-    min_scale: Array
+    scale: Array
     extent: Array
     corner: Array
     hole: Array
     edge: Array
     blend: Array
     absent: Array
+
+
+def pack(p: Primitives) -> Array:
+    """One row per slot, as the inner loop reads it, `[K, 24]`."""
+    matrix = p.rotation / p.scale[:, :, None]
+    offset = jnp.einsum("kij,kj->ki", matrix, p.center)
+    slots = p.blend.shape[0]
+    sign = jnp.where(jnp.arange(slots) < NUM_UNIONS, 1.0, -1.0)
+    rest = jnp.stack([p.corner, p.hole, p.edge, p.blend, p.absent, sign], -1)
+    columns = [matrix.reshape(slots, 9), offset, p.extent, 1 / p.scale, rest]
+    return jnp.concatenate(columns, -1)
 
 
 class Detail(NamedTuple):
@@ -75,14 +85,11 @@ class Shape(NamedTuple):
     """One object in its own frame, where it fits into a sphere.
 
     Attributes:
-        primitives: the slots; the last `NUM_CUTS` are cut away.
-        sign: `[K]`, 1 for slots that are added, -1 for those cut away.
+        slots: `[K, 24]`, see `pack`; the last `NUM_CUTS` are cut away.
         lathe: 1 where the object is turned about y, else 0.
         mirror: 1 where it is symmetric in x, else 0.
         twist: radians per unit along y.
-        wave_vector: `[W, 3]`, cycles per unit.
-        wave_phase: `[W]`, cycles.
-        wave_amplitude: `[W]`.
+        waves: `[W, 5]`: cycles per unit (3), phase in cycles, amplitude.
         wave_warp: cycles by which a unit of displacement shifts the next wave.
         wave_ridge: 0 for smooth waves, 1 for creases.
         step_scale: factor that makes the distance safe to march.
@@ -92,14 +99,11 @@ class Shape(NamedTuple):
         kind: index into `SHAPE_KINDS`.
     """
 
-    primitives: Primitives
-    sign: Array
+    slots: Array
     lathe: Array
     mirror: Array
     twist: Array
-    wave_vector: Array
-    wave_phase: Array
-    wave_amplitude: Array
+    waves: Array
     wave_warp: Array
     wave_ridge: Array
     step_scale: Array
@@ -109,24 +113,36 @@ class Shape(NamedTuple):
     kind: Array
 
 
-def _primitive(p: Primitives, point: Point) -> Array:
-    """Distance to one primitive; the leaves of `p` have no slot axis here."""
-    c = p.center
-    local = (point[0] - c[0], point[1] - c[1], point[2] - c[2])
-    x, y, z = rotate(p.rotation, local)
-    scale, extent, corner, hole, edge = (
-        *(p.inverse_scale, p.extent, p.corner, p.hole, p.edge),
+def _larger(a: Array, b: Array | float) -> Array:
+    """Maximum of finite numbers: one instruction, without the check for NaN."""
+    return jnp.where(a > b, a, b)
+
+
+def _smaller(a: Array, b: Array | float) -> Array:
+    return jnp.where(a < b, a, b)
+
+
+def _compose(d: Array, slot: Array, point: Point) -> Array:
+    """Adds one slot `[24]` to (or cuts it from) the distance so far."""
+    x, y, z = point
+    corner, hole, edge, blend, absent, sign = (slot[i] for i in range(18, 24))
+    q = tuple(
+        slot[3 * i] * x + slot[3 * i + 1] * y + slot[3 * i + 2] * z - slot[9 + i]
+        for i in range(3)
     )
-    dx = jnp.abs(x * scale[0]) - extent[0]
-    dy = jnp.abs(y * scale[1]) - extent[1]
-    dz = jnp.abs(z * scale[2]) - extent[2]
-    rx, ry = jnp.maximum(dx + corner, 0.0), jnp.maximum(dy + corner, 0.0)
-    inner = jnp.minimum(jnp.maximum(dx, dy), -corner)
+    # Stretching divides the gradient by this; 1 where nothing is stretched.
+    inverse = tuple(q[i] * slot[15 + i] for i in range(3))
+    scale = lax.rsqrt((dot(inverse, inverse) + 1e-9) / (dot(q, q) + 1e-9))  # type: ignore[arg-type]
+    dx, dy, dz = (jnp.abs(q[i]) - slot[12 + i] for i in range(3))
+    rx, ry = _larger(dx + corner, 0.0), _larger(dy + corner, 0.0)
+    inner = _smaller(_larger(dx, dy), -corner)
     ring = jnp.abs(jnp.sqrt(rx * rx + ry * ry + 1e-12) + inner + hole) - hole
-    ex, ez = jnp.maximum(ring + edge, 0.0), jnp.maximum(dz + edge, 0.0)
-    inner = jnp.minimum(jnp.maximum(ring, dz), -edge)
-    d = jnp.sqrt(ex * ex + ez * ez + 1e-12) + inner
-    return d * p.min_scale + p.absent
+    ex, ez = _larger(ring + edge, 0.0), _larger(dz + edge, 0.0)
+    inner = _smaller(_larger(ring, dz), -edge)
+    e = (jnp.sqrt(ex * ex + ez * ez + 1e-12) + inner) * scale + absent
+    d = sign * d
+    h = _larger(blend - jnp.abs(d - e), 0.0)
+    return sign * (_smaller(d, e) - h * h * (0.25 / blend))
 
 
 def _fold(shape: Shape, point: Point) -> Point:
@@ -145,16 +161,14 @@ def _displace(shape: Shape, point: Point, d: Array) -> Array:
     x, y, z = point
     base = d
 
-    def add(d: Array, wave: tuple[Array, Array, Array]) -> tuple[Array, None]:
-        k, phase, amplitude = wave
-        phase = phase + k[0] * x + k[1] * y + k[2] * z
+    def add(d: Array, wave: Array) -> tuple[Array, None]:
+        phase = wave[3] + wave[0] * x + wave[1] * y + wave[2] * z
         value = sine(phase + shape.wave_warp * (base - d))
         crease = 1.4 * jnp.sqrt(value * value + 0.01) - 1.0
         value = value + shape.wave_ridge * (crease - value)
-        return d - amplitude * value, None
+        return d - wave[4] * value, None
 
-    waves = (shape.wave_vector, shape.wave_phase, shape.wave_amplitude)
-    return lax.scan(add, d, waves)[0]
+    return lax.scan(add, d, shape.waves)[0]
 
 
 def distance(shape: Shape, point: Point) -> Array:
@@ -172,14 +186,8 @@ def distance(shape: Shape, point: Point) -> Array:
     """
     folded = _fold(shape, point)
 
-    def compose(d: Array, slot: tuple[Primitives, Array]) -> tuple[Array, None]:
-        p, sign = slot
-        d, e = sign * d, _primitive(p, folded)
-        h = jnp.maximum(p.blend - jnp.abs(d - e), 0.0)
-        return sign * (jnp.minimum(d, e) - h * h * (0.25 / p.blend)), None
-
     empty = jnp.full_like(point[0], 1e3)
-    d, _ = lax.scan(compose, empty, (shape.primitives, shape.sign))
+    d, _ = lax.scan(lambda d, s: (_compose(d, s, folded), None), empty, shape.slots)
     return _displace(shape, point, d) * shape.step_scale
 
 

@@ -11,9 +11,11 @@ from unips_jax.scenes.sdf import (
     NUM_SLOTS,
     NUM_UNIONS,
     NUM_WAVES,
+    SOLID,
     Detail,
     Primitives,
     Shape,
+    pack,
 )
 
 # Columns: ellipsoid, box, cylinder, capsule, torus, frame.
@@ -73,15 +75,16 @@ def _typed_primitives(draws: Draws, kind: Array, size: Array, blend: Array):
     a, b, c = (draws.uniform(lo, 1.0, NUM_SLOTS) for lo in (0.5, 0.4, 0.35))
     small = draws.uniform(0.02, 0.3, NUM_SLOTS)
     one, zero = jnp.ones(NUM_SLOTS), jnp.zeros(NUM_SLOTS)
+    solid = jnp.full(NUM_SLOTS, SOLID)
     side = 0.75 * thick * size
     tube = thick * size * (0.1 + 0.25 * c)
     ball = jnp.stack([a, b * 0.5 + 0.5, c * 0.6 + 0.4], -1) * size[:, None]
     # Per type: extent x, y, z, corner, hole, edge.
     table = [
-        [one, one, one, one, zero, one],
-        [a * size, b * side, c * side, small * b * side, zero, small * c * side],
-        [a * side, a * side, b * size, a * side, zero, small * c * side * 0.5],
-        [tube, tube, size, tube, zero, tube],
+        [one, one, one, one, solid, one],
+        [a * size, b * side, c * side, small * b * side, solid, small * c * side],
+        [a * side, a * side, b * size, a * side, solid, small * c * side * 0.5],
+        [tube, tube, size, tube, solid, tube],
         [size, size, tube, size, tube, tube],
         [size, size * (0.5 + 0.5 * a), tube, small * size, tube, small * tube],
     ]
@@ -98,8 +101,7 @@ def _typed_primitives(draws: Draws, kind: Array, size: Array, blend: Array):
     primitives = Primitives(
         center=jnp.zeros((NUM_SLOTS, 3)),
         rotation=rotation,
-        inverse_scale=1 / scale,
-        min_scale=jnp.min(scale, -1),
+        scale=jnp.broadcast_to(scale, (NUM_SLOTS, 3)),
         extent=chosen[:, :3],
         corner=chosen[:, 3],
         hole=chosen[:, 4],
@@ -164,12 +166,11 @@ def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
     centers = jnp.where(flat, face, centers)
     slab = jnp.stack([1.5, draws.uniform(1.1, 1.5), 0.12])
     first = {
-        "inverse_scale": jnp.ones(3),
-        "min_scale": jnp.ones(()),
+        "scale": jnp.ones(3),
         "rotation": jnp.eye(3),
         "extent": slab,
         "corner": jnp.asarray(0.1),
-        "hole": jnp.zeros(()),
+        "hole": jnp.asarray(SOLID),
         "edge": draws.uniform(0.01, 0.1),
     }
     replaced = {
@@ -250,14 +251,18 @@ def draw_shape(key: Array, kind: Array) -> Shape:
     )
     twisting = jnp.abs(twist) * radius * 0.7 * (1 - lathe)
     return Shape(
-        primitives=primitives,
-        sign=jnp.where(jnp.arange(NUM_SLOTS) < NUM_UNIONS, 1.0, -1.0),
+        slots=pack(primitives),
         lathe=lathe,
         mirror=mirror * (1 - lathe),
         twist=twist * (1 - lathe),
-        wave_vector=draws.direction(NUM_WAVES) * frequency[:, None],
-        wave_phase=draws.unit(NUM_WAVES),
-        wave_amplitude=amplitude,
+        waves=jnp.concatenate(
+            [
+                draws.direction(NUM_WAVES) * frequency[:, None],
+                draws.unit(NUM_WAVES, 1),
+                amplitude[:, None],
+            ],
+            -1,
+        ),
         wave_warp=warp,
         wave_ridge=jnp.where(draws.chance(0.35), draws.uniform(0.3, 1.0), 0.0),
         step_scale=1 / ((1 + 0.5 * gradient) * jnp.sqrt(1 + 0.5 * twisting**2)),
