@@ -1,10 +1,13 @@
 """What the commands share: errors that are one line, and progress."""
 
+import contextlib
 import functools
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TypeVar
+from pathlib import Path
+from typing import Protocol, TypeVar
 
 _T = TypeVar("_T")
 
@@ -17,9 +20,15 @@ class InputError(ValueError):
     """
 
 
-def command(
-    main: Callable[[Sequence[str] | None], None],
-) -> Callable[[Sequence[str] | None], int]:
+class Command(Protocol):
+    """A command's `main`: takes arguments, returns the exit status."""
+
+    def __call__(self, argv: Sequence[str] | None = None) -> int:
+        """Runs the command."""
+        ...
+
+
+def command(main: Callable[[Sequence[str] | None], None]) -> Command:
     """Turns a `main(argv)` into one that reports bad input in one line.
 
     Args:
@@ -45,12 +54,53 @@ def command(
     return run
 
 
+def keep_compiled() -> None:
+    """Keeps compiled functions for later runs, unless the user said where to."""
+    import jax
+
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+        jax.config.update("jax_compilation_cache_dir", str(home / "unips_jax"))
+
+
+@contextlib.contextmanager
+def progress(description: str) -> Iterator[Callable[[int, int], None]]:
+    """Gives a function of (done, total) that shows progress on standard error.
+
+    A bar on a terminal; elsewhere one line at most every ten seconds.
+
+    Args:
+        description: a few words for what is being done.
+    """
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress
+
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(description, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+        return
+    start = last = time.monotonic()
+
+    def report(done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if done and now - last >= 10:
+            last = now
+            left = (now - start) / done * (total - done)
+            print(
+                f"{description}: {done}/{total}, about {left:.0f} s left",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    yield report
+
+
 def track(
     items: Iterable[_T], description: str, *, total: int | None = None
 ) -> Iterator[_T]:
-    """Yields the items, showing progress on standard error.
-
-    A bar on a terminal; elsewhere one line at most every ten seconds.
+    """Yields the items, showing `progress`.
 
     Args:
         items: what to go through.
@@ -59,22 +109,7 @@ def track(
     """
     if total is None:
         total = len(items)  # type: ignore[arg-type]
-    if sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import track as rich_track
-
-        console = Console(stderr=True)
-        yield from rich_track(items, description, total=total, console=console)
-        return
-    start = last = time.monotonic()
-    for done, item in enumerate(items, 1):
-        yield item
-        now = time.monotonic()
-        if now - last >= 10:
-            last = now
-            left = (now - start) / done * (total - done)
-            print(
-                f"{description}: {done}/{total}, about {left:.0f} s left",
-                file=sys.stderr,
-                flush=True,
-            )
+    with progress(description) as report:
+        for done, item in enumerate(items, 1):
+            yield item
+            report(done, total)

@@ -11,20 +11,18 @@ measurement, data sets and renderers write those so. `--transfer` overrules it.
 """
 
 import argparse
-import contextlib
 import dataclasses
 import functools
 import hashlib
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from unips_jax.capture import capture_warnings
-from unips_jax.command import InputError, command, track
+from unips_jax.command import InputError, command, keep_compiled, progress, track
 from unips_jax.config import ModelConfig
 from unips_jax.contact_sheet import write_sheet
 from unips_jax.normal_files import (
@@ -70,6 +68,7 @@ class _Capture:
 def _main(argv: Sequence[str] | None = None) -> None:
     arguments = _parser().parse_args(argv)
     targets = _targets(arguments.folders, arguments.output)
+    keep_compiled()
     network = _load_network(arguments)
     failed = []
     for folder, target in targets.items():
@@ -253,7 +252,7 @@ def _estimate_folder(
 def _estimate(capture: _Capture, network: _Network, *, official: bool) -> np.ndarray:
     from unips_jax.streaming import estimate_photographs
 
-    with _progress("estimating normals") as progress:
+    with progress("estimating normals") as report:
         return estimate_photographs(
             network.params,
             capture.images,
@@ -261,7 +260,7 @@ def _estimate(capture: _Capture, network: _Network, *, official: bool) -> np.nda
             config=network.config,
             transfer=capture.transfer,
             frame="image" if official else "mask",
-            progress=progress,
+            progress=report,
         )
 
 
@@ -278,33 +277,5 @@ def _read(selection: Selection, arguments: argparse.Namespace) -> _Capture:
     return _Capture(images, mask, transfer)
 
 
-@contextlib.contextmanager
-def _progress(description: str) -> Iterator[Callable[[int, int], None]]:
-    """Gives a function of (done, total): `command.track` for work that calls back."""
-    if sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import Progress
-
-        with Progress(console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(description, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
-        return
-    start = last = time.monotonic()
-
-    def report(done: int, total: int) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if done and now - last >= 10:
-            last = now
-            left = (now - start) / done * (total - done)
-            print(
-                f"{description}: {done}/{total}, about {left:.0f} s left",
-                file=sys.stderr,
-                flush=True,
-            )
-
-    yield report
-
-
 if __name__ == "__main__":
-    sys.exit(main(None))
+    sys.exit(main())

@@ -6,13 +6,12 @@ command started again, or beside itself, does only what is left.
 """
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from unips_jax.command import InputError, command, track
+from unips_jax.command import InputError, command, keep_compiled, track
 from unips_jax.evaluation import publish, runner, summary
 from unips_jax.evaluation.benchmarks import BENCHMARKS, Benchmark, open_benchmark
 from unips_jax.evaluation.methods import NAMES, UnipsOptions, load_variants
@@ -34,7 +33,7 @@ def _main(argv: Sequence[str] | None = None) -> None:
         raise InputError("diligent102: submissions need --protocol native")
     counts = list(dict.fromkeys(arguments.num_images))
     runner.check_counts(benchmark, counts)
-    _keep_compiled()
+    keep_compiled()
     options = UnipsOptions(
         arguments.weights, arguments.canonical_size, arguments.uniform_contexts
     )
@@ -46,15 +45,6 @@ def _main(argv: Sequence[str] | None = None) -> None:
         benchmark, variants, protocol, counts, arguments.seed, fingerprints
     )
     _evaluate(plan, Store(workdir), pictures=not arguments.no_pictures)
-
-
-def _keep_compiled() -> None:
-    """Keeps compiled functions for the next run, unless the user said where."""
-    import jax
-
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-        jax.config.update("jax_compilation_cache_dir", str(home / "unips_jax"))
 
 
 def _check_workdir(workdir: Path, benchmark: Benchmark) -> None:
@@ -167,4 +157,4 @@ def _count(text: str) -> int | None:
 main = command(_main)
 
 if __name__ == "__main__":
-    sys.exit(main(None))
+    sys.exit(main())

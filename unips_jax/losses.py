@@ -99,7 +99,7 @@ def object_loss(
             sampled = jnp.concatenate([jnp.moveaxis(cells, 0, 1), sampled])
         return bound.decoder(observed, sampled, None, deterministic)
 
-    predicted = network.apply(
+    predicted: Any = network.apply(
         {"params": params}, method=run, rngs={"dropout": dropout_key}
     )
     at_pixels = predicted[-index.size :]

@@ -71,7 +71,7 @@ def state_sharding(state: Any, mesh: Mesh) -> Any:
             return replicated(mesh)
         for axis in np.argsort(array.shape)[::-1]:
             if array.shape[axis] % parts == 0:
-                spec = [None] * array.ndim
+                spec: list[str | None] = [None] * array.ndim
                 spec[axis] = "fsdp"
                 return NamedSharding(mesh, P(*spec))
         return replicated(mesh)

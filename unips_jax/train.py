@@ -7,8 +7,8 @@ the seed and the step, and what does not is in the checkpoint.
 
 import argparse
 import functools
+import itertools
 import json
-import os
 import runpy
 import signal
 import time
@@ -22,10 +22,10 @@ import tyro
 from jax.sharding import Mesh
 
 from unips_jax.checkpoint import Checkpoints
-from unips_jax.command import InputError, command
+from unips_jax.command import InputError, command, keep_compiled
 from unips_jax.config import Config, to_json
-from unips_jax.data.pipeline import draw_num_images
-from unips_jax.scenes import render_scene
+from unips_jax.data.pipeline import draw_num_images, folder_batches
+from unips_jax.scenes import render_batch
 from unips_jax.sharding import (
     batch_sharding,
     make_mesh,
@@ -94,12 +94,10 @@ def train(
             pending = (step, batch, metrics)
             if step % config.train.log_every == 0:
                 log.metrics(step, jax.device_get(metrics))
-            last = step == config.train.steps or stop.is_set
-            if last or step % config.train.validate_every == 0:
-                _check_finite(*pending, workdir)
-            if step % config.train.validate_every == 0 or step == config.train.steps:
+            done = step == config.train.steps
+            if done or step % config.train.validate_every == 0:
                 record = _validate_and_keep_best(config, state, record, workdir, log)
-            if last or step % config.train.checkpoint_every == 0:
+            if done or stop.is_set or step % config.train.checkpoint_every == 0:
                 _check_finite(*pending, workdir)
                 checkpoints.save(step, state, record)
             if stop.is_set:
@@ -123,41 +121,53 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
         jax.tree.map, lambda new, old: jax.device_put(new, old.sharding)
     )
     ema = None if state.ema_params is None else place(params, state.ema_params)
-    return state.replace(params=place(params, state.params), ema_params=ema)
+    return state._replace(params=place(params, state.params), ema_params=ema)
 
 
 def _batches(
     config: Config, scene_key: jax.Array, mesh: Mesh, first: int
 ) -> Iterator[Batch]:
     """The batches of the steps after `first`; each follows from its step."""
-    sharding = batch_sharding(mesh)
+    data, seed = config.data, config.train.seed
+    scene_share = {"scenes": 1.0, "folders": 0.0}.get(data.source, data.scene_share)
+
+    def from_scenes(step: int) -> bool:
+        return bool(np.random.default_rng((seed, step, 1)).random() < scene_share)
 
     # Scenes always have the largest number of images: one compilation serves all.
-    @functools.partial(jax.jit, out_shardings=sharding)
+    @functools.partial(jax.jit, out_shardings=batch_sharding(mesh))
     def render(step: jax.Array) -> Batch:
-        keys = jax.random.split(
-            jax.random.fold_in(scene_key, step), config.data.batch_size
+        keys = jax.random.split(jax.random.fold_in(scene_key, step), data.batch_size)
+        scene = render_batch(
+            keys,
+            size=data.image_size,
+            num_images=max(data.num_images),
+            config=config.scenes,
         )
-        scene = jax.vmap(
-            functools.partial(
-                render_scene,
-                size=config.data.image_size,
-                num_images=max(config.data.num_images),
-                config=config.scenes,
-            )
-        )(keys)
-        return {
-            "images": scene.images,
-            "mask": scene.mask,
-            "normals": scene.normals,
-        }
+        return {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
 
-    step = first
-    while True:
-        step += 1
-        num_images = draw_num_images(config.data.num_images, config.train.seed, step)
-        batch = render(np.int32(step))
-        yield {**batch, "images": batch["images"][:, :num_images]}
+    folders: Iterator[dict[str, np.ndarray]] = iter(())
+    if scene_share < 1:
+        folders = folder_batches(
+            data.root,
+            size=data.image_size,
+            batch_size=data.batch_size,
+            num_images=data.num_images,
+            seed=seed,
+            first=sum(not from_scenes(step) for step in range(1, first + 1)),
+            process=(jax.process_index(), jax.process_count()),
+            workers=data.workers,
+        )
+    place = functools.partial(
+        jax.make_array_from_process_local_data, batch_sharding(mesh)
+    )
+    for step in itertools.count(first + 1):
+        if from_scenes(step):
+            batch = render(np.int32(step))
+            count = draw_num_images(data.num_images, seed, step)
+            yield {**batch, "images": batch["images"][:, :count]}
+        else:
+            yield jax.tree.map(place, next(folders))
 
 
 class _Stop:
@@ -255,9 +265,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments, overrides = parser.parse_known_args(argv)
     if arguments.distributed:
         jax.distributed.initialize()
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "unips_jax"
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        jax.config.update("jax_compilation_cache_dir", str(cache))
+    keep_compiled()
     config = tyro.cli(Config, default=load_config(arguments.config), args=overrides)
     start = time.monotonic()
     state = train(config, arguments.workdir, init_weights=arguments.init_weights)

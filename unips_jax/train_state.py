@@ -1,8 +1,7 @@
 """What a training step changes."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
-import flax.struct
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -12,8 +11,7 @@ from unips_jax.optim import make_optimizer
 from unips_jax.weights import init_params
 
 
-@flax.struct.dataclass
-class TrainState:
+class TrainState(NamedTuple):
     """The state of a training run.
 
     Attributes:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from unips_jax.command import command, track
+from unips_jax.command import command, keep_compiled, track
 from unips_jax.config import ModelConfig
 from unips_jax.estimation import estimate_normals
 from unips_jax.metrics import mean_angular_error_deg
@@ -64,8 +64,15 @@ def validate(
         Mean angular errors in degrees: "mae" over all scenes, "constant" for a normal
         towards the viewer, and one per group, such as "light/directional".
     """
-    options = dict(size=size, num_images=num_images, config=scenes, **scene_options)
-    render = jax.jit(functools.partial(render_scene, **options))
+    render = jax.jit(
+        functools.partial(
+            render_scene,
+            size=size,
+            num_images=num_images,
+            config=scenes,
+            **scene_options,
+        )
+    )
     errors: dict[str, list[float]] = {}
     for index in track(range(count), description):
         scene = render(held_out_key(index))
@@ -101,6 +108,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--images", type=int, nargs="+", default=[8])
     parser.add_argument("--size", type=int, default=128, help="pixels")
     arguments = parser.parse_args(argv)
+    keep_compiled()
     model, params = load_weights(arguments.weights)
     for num_images in arguments.images:
         scores = validate(

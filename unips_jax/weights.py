@@ -212,7 +212,7 @@ def save_weights(
 
 def random_weights(config: ModelConfig, *, seed: int = 0) -> Params:
     """Untrained parameters, as training starts from."""
-    return init_params(config, jax.random.key(seed))
+    return jax.jit(init_params, static_argnums=0)(config, jax.random.key(seed))
 
 
 def init_params(config: ModelConfig, key: jax.Array) -> Params:

@@ -1,7 +1,7 @@
 """Batches of training objects from disk, through grain.
 
-The batch of a step follows from the seed and the step, whatever the number of
-processes and workers, so that a resumed run reads what it would have read.
+A batch follows from the seed and its number, whatever the number of processes and
+workers, so that a resumed run reads what it would have read.
 """
 
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ def folder_batches(
     batch_size: int,
     num_images: tuple[int, ...],
     seed: int,
-    first_step: int,
+    first: int,
     process: tuple[int, int] = (0, 1),
     workers: int = 0,
 ) -> Iterator[dict[str, np.ndarray]]:
@@ -38,7 +38,7 @@ def folder_batches(
         batch_size: objects per step, over all processes.
         num_images: the set sizes that steps draw from.
         seed: of order, set sizes and choice of photographs.
-        first_step: the first batch's step.
+        first: batches to skip.
         process: this process' number and the number of processes, which share a batch.
         workers: reading processes; 0 reads in threads of this one.
 
@@ -65,7 +65,7 @@ def folder_batches(
         .shuffle()
         .repeat()
         .map_with_index(read)
-        .batch(batch_size, drop_remainder=True)[first_step:]
+        .batch(batch_size, drop_remainder=True)[first:]
         .map(lambda batch: _share(batch, process[0] * share, share))
     )
     iterable = dataset.to_iter_dataset()

@@ -1,0 +1,212 @@
+"""The pure function: chunks, shapes, transformations, gradients, bad arguments."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_networks import SMALL, lively_weights, with_dtype
+
+from unips_jax import estimate_normals, estimation
+from unips_jax.estimation import square_frame
+from unips_jax.streaming import estimate_photographs
+
+
+@pytest.fixture(scope="module")
+def params():
+    return lively_weights()
+
+
+def photographs(n=3, height=23, width=31):
+    """Images of a tilted ellipse that leaves part of the frame empty."""
+    generator = np.random.default_rng(5)
+    y, x = np.mgrid[:height, :width]
+    mask = ((x - 13) / 11) ** 2 + ((y - 12) / 8) ** 2 + (x - 13) * (y - 12) / 200 < 1
+    images = generator.random((n, height, width, 3)).astype(np.float32)
+    return images, mask
+
+
+def test_unit_inside_zero_outside_and_scale_free(params):
+    images, mask = photographs()
+    normals = estimate_normals(params, images, mask, config=SMALL)
+    assert normals.shape == (23, 31, 3)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), mask, atol=1e-5)
+    scaled = images * np.array([1.0, 50.0, 0.02])[:, None, None, None]
+    again = estimate_normals(params, scaled, mask, config=SMALL)
+    np.testing.assert_allclose(again, normals, atol=1e-4)
+
+
+def test_light_outside_the_mask_does_not_matter(params):
+    images, mask = photographs()
+    normals = estimate_normals(params, images, mask, config=SMALL)
+    other = np.where(mask[..., None], images, 7)
+    again = estimate_normals(params, other, mask, config=SMALL)
+    np.testing.assert_allclose(again, normals, atol=1e-6)
+
+
+def test_chunked_equals_whole(params, monkeypatch):
+    images, mask = photographs(n=5)
+    monkeypatch.setattr(estimation, "CHUNK_TOKENS", 10**6)
+    monkeypatch.setattr(estimation, "CHUNK_IMAGES", 10)
+    estimation._estimate_normals.clear_cache()
+    whole = estimate_normals(params, images, mask, config=SMALL)
+    monkeypatch.setattr(estimation, "CHUNK_TOKENS", 70)
+    monkeypatch.setattr(estimation, "CHUNK_IMAGES", 2)
+    estimation._estimate_normals.clear_cache()
+    chunked = estimate_normals(params, images, mask, config=SMALL)
+    estimation._estimate_normals.clear_cache()
+    np.testing.assert_allclose(chunked, whole, atol=1e-5)
+
+
+def test_place_in_the_image_does_not_matter(params):
+    images, mask = photographs()
+    rows, columns = np.nonzero(mask)
+    box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    cropped = estimate_normals(
+        params, images[:, *box], mask[box], config=SMALL, frame="mask"
+    )
+    whole = estimate_normals(params, images, mask, config=SMALL)
+    np.testing.assert_allclose(whole[box], cropped, atol=1e-5)
+
+
+def test_frame_keeps_the_aspect():
+    mask = np.zeros((20, 30), bool)
+    mask[3:9, 10:28] = True
+    assert [int(v) for v in square_frame(mask)] == [-3, 10, 18]
+    assert [int(v) for v in square_frame(mask, "image")] == [-5, 0, 30]
+    assert [int(v) for v in square_frame(np.zeros((20, 30)))] == [-5, 0, 30]
+
+
+def test_no_mask_is_the_whole_image(params):
+    images, _ = photographs()
+    normals = estimate_normals(params, images, config=SMALL)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+
+
+def test_padded_sets(params):
+    images, mask = photographs()
+    plain = estimate_normals(params, images, mask, config=SMALL)
+    padded = np.concatenate([images, np.full((2, 23, 31, 3), 5, np.float32)])
+    valid = np.array([True, True, True, False, False])
+    again = estimate_normals(params, padded, mask, config=SMALL, valid=valid)
+    np.testing.assert_allclose(again, plain, atol=1e-5)
+
+
+def test_jit_vmap_and_eager_agree(params):
+    pairs = [photographs(), photographs()]
+    pairs[1] = (pairs[1][0][:, ::-1] ** 2, pairs[1][1][:, ::-1])
+    images, masks = (np.stack(x) for x in zip(*pairs, strict=True))
+
+    def run(images, mask):
+        return estimate_normals(params, images, mask, config=SMALL)
+
+    loop = np.stack([run(*pair) for pair in zip(images, masks, strict=True)])
+    np.testing.assert_allclose(jax.jit(jax.vmap(run))(images, masks), loop, atol=1e-5)
+
+
+def test_gradients_agree_with_finite_differences(params):
+    """In float64, along random directions, for images and for parameters."""
+    with jax.enable_x64(True):
+        config = with_dtype(SMALL, "float64")
+        images, mask = photographs()
+        images = jnp.asarray(images, jnp.float64)
+        params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), params)
+        target = jnp.array([0.3, -0.5, 0.8])
+
+        def loss(params, images):
+            normals = estimate_normals(params, images, mask, config=config)
+            return jnp.sum(normals * target)
+
+        def directions(tree, seed):
+            leaves, structure = jax.tree.flatten(tree)
+            keys = jax.random.split(jax.random.key(seed), len(leaves))
+            draws = [
+                jax.random.normal(k, x.shape, x.dtype)
+                for k, x in zip(keys, leaves, strict=True)
+            ]
+            return jax.tree.unflatten(structure, draws)
+
+        loss = jax.jit(loss)
+        gradients = jax.grad(loss, argnums=(0, 1))(params, images)
+        for argument in (0, 1):
+            point = (params, images)[argument]
+            direction = directions(point, argument)
+            products = jax.tree.map(jnp.vdot, gradients[argument], direction)
+            exact = sum(jax.tree.leaves(products))
+
+            def shifted(step, argument=argument, point=point, direction=direction):
+                moved = jax.tree.map(lambda x, d: x + step * d, point, direction)
+                return loss(*((moved, images), (params, moved))[argument])
+
+            numeric = (shifted(1e-6) - shifted(-1e-6)) / 2e-6
+            np.testing.assert_allclose(exact, numeric, rtol=1e-5)
+
+
+def test_gradients_are_finite_where_images_are_black(params):
+    images, mask = photographs()
+    images[1] = 0
+
+    def loss(images):
+        normals = estimate_normals(params, images, mask, config=SMALL)
+        return jnp.sum(normals**2 * jnp.array([1.0, 2.0, 3.0]))
+
+    assert np.isfinite(jax.grad(loss)(jnp.asarray(images))).all()
+
+
+def test_compiles_once_per_shape(params):
+    estimation._estimate_normals.clear_cache()
+    for seed in range(3):
+        images, mask = photographs()
+        mask = mask & (np.random.default_rng(seed).random(mask.shape) < 0.8)
+        estimate_normals(params, images * (1 + seed), mask, config=SMALL)
+    assert estimation._estimate_normals._cache_size() == 1
+
+
+@pytest.mark.parametrize(
+    ("dtype", "transfer"),
+    [("float32", "linear"), ("uint16", "linear"), ("uint8", "srgb")],
+)
+def test_streaming_gives_the_same(params, dtype, transfer):
+    images, mask = photographs(n=5)
+    stored, linear = images, images
+    if dtype != "float32":
+        top = np.iinfo(dtype).max
+        stored = np.round(images * top).astype(dtype)
+        linear = stored / np.float32(top)
+    if transfer == "srgb":
+        high = ((linear + 0.055) / 1.055) ** 2.4
+        linear = np.where(linear <= 0.04045, linear / 12.92, high)
+    expected = estimate_normals(params, linear, mask, config=SMALL)
+    seen = []
+    actual = estimate_photographs(
+        params,
+        stored,
+        mask,
+        config=SMALL,
+        transfer=transfer,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    np.testing.assert_allclose(actual, expected, atol=2e-5)
+    assert seen[-1] == (mask.sum(), mask.sum())
+
+
+def test_uniform_contexts_differ(params):
+    images, mask = photographs()
+    plain = estimate_normals(params, images, mask, config=SMALL)
+    uniform = estimate_normals(
+        params, images, mask, config=SMALL, uniform_contexts=True
+    )
+    assert abs(plain - uniform).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("images", "mask", "message"),
+    [
+        (np.zeros((2, 8, 8)), None, r"images: expected \[N, H, W, 3\]"),
+        (np.zeros((2, 8, 8, 4)), None, "images"),
+        (np.zeros((0, 8, 8, 3)), None, "at least one image"),
+        (np.zeros((2, 8, 8, 3)), np.ones((8, 9)), r"mask: expected .*\(8, 8\)"),
+    ],
+)
+def test_bad_shapes(params, images, mask, message):
+    with pytest.raises(ValueError, match=message):
+        estimate_normals(params, images, mask, config=SMALL)

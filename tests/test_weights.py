@@ -1,0 +1,92 @@
+"""Weights files: round trip, refusals, the authors' names."""
+
+import numpy as np
+import pytest
+from flax.traverse_util import flatten_dict
+from safetensors.numpy import save_file
+from small_networks import SMALL, lively_weights
+
+from unips_jax.command import InputError
+from unips_jax.weights import (
+    from_official,
+    load_weights,
+    official_name,
+    save_weights,
+    weights_record,
+)
+
+
+def test_round_trip(tmp_path):
+    params = lively_weights()
+    path = tmp_path / "small.safetensors"
+    save_weights(path, SMALL, params, record={"score": 9.5})
+    config, loaded = load_weights(path)
+    assert config == SMALL
+    expected, actual = flatten_dict(params), flatten_dict(loaded)
+    assert set(expected) == set(actual)
+    for name, value in expected.items():
+        np.testing.assert_array_equal(actual[name], value)
+    record = weights_record(path)
+    assert record["score"] == 9.5
+    assert len(record["sha256"]) == 64
+    assert [p.name for p in tmp_path.iterdir()] == ["small.safetensors"]
+
+
+def test_half_precision_is_float32_in_memory(tmp_path):
+    params = lively_weights()
+    path = tmp_path / "half.safetensors"
+    save_weights(path, SMALL, params, half=True)
+    _, loaded = load_weights(path)
+    for name, value in flatten_dict(params).items():
+        actual = flatten_dict(loaded)[name]
+        assert actual.dtype == np.float32
+        np.testing.assert_allclose(actual, value, rtol=1e-3, atol=1e-6)
+
+
+def test_absent_and_broken_files(tmp_path):
+    with pytest.raises(InputError, match=r"(?s)nothing-here.*unips train"):
+        load_weights("nothing-here")
+    with pytest.raises(InputError, match="found nothing there"):
+        load_weights(tmp_path / "absent.safetensors")
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(b"not a safetensors file")
+    with pytest.raises(InputError, match="expected a safetensors file"):
+        load_weights(broken)
+    foreign = tmp_path / "foreign.safetensors"
+    save_file({"a": np.zeros(3, np.float32)}, foreign)
+    with pytest.raises(InputError, match="ModelConfig"):
+        load_weights(foreign)
+
+
+def test_all_problems_are_named_at_once(tmp_path):
+    params = flatten_dict(lively_weights(), sep=".")
+    params.pop("decoder.fc1.bias")
+    params["decoder.fc2.bias"] = np.zeros(4)
+    params["decoder.fc9.bias"] = np.zeros(4)
+    path = tmp_path / "wrong.safetensors"
+    save_weights(path, SMALL, params)
+    with pytest.raises(InputError) as raised:
+        load_weights(path)
+    for name in ("decoder.fc1.bias", "decoder.fc2.bias (4,)", "decoder.fc9.bias"):
+        assert name in str(raised.value)
+
+
+def test_official_problems_are_named_at_once():
+    arrays = {
+        "encoder.module.backbone.0.norm0.weight": np.zeros(95, np.float32),
+        "encoder.module.backbone.0.other.weight": np.zeros(3, np.float32),
+        "encoder.module.x.relative_position_index": np.zeros(3),
+    }
+    with pytest.raises(InputError) as raised:
+        from_official(arrays)
+    message = str(raised.value)
+    assert "468 missing" in message
+    assert "1 unexpected: encoder.module.backbone.0.other.weight" in message
+    assert "1 misshapen: encoder.module.backbone.0.norm0.weight (95,)" in message
+    assert "relative_position_index" not in message
+
+
+@pytest.mark.parametrize("prefix", ["encoder.module.", "encoder."])
+def test_names_with_and_without_module(prefix):
+    key = f"{prefix}backbone.0.layers.2.blocks.17.mlp.fc1.weight"
+    assert official_name(key) == "encoder.stages_2.block17.fc1.kernel"

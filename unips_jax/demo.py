@@ -1,0 +1,79 @@
+"""`unips demo`: normals of the bundled object, compared with the truth.
+
+The object is a scene of `unips render`, eight photographs under different light, from a
+key that training never uses.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from unips_jax.command import command, keep_compiled, progress
+from unips_jax.contact_sheet import write_sheet
+from unips_jax.data.sources import PSWildFolders, read_object
+from unips_jax.normal_files import (
+    appearing_at_once,
+    check_target,
+    write_normals,
+    write_record,
+)
+
+SAMPLE = Path(__file__).parent / "assets" / "sample"
+
+
+def _main(argv: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="unips demo", description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=Path("unips_demo"))
+    parser.add_argument("--weights", default="tiny", help="shipped name or file")
+    arguments = parser.parse_args(argv)
+    check_target(arguments.output, SAMPLE)
+    keep_compiled()
+
+    from unips_jax.metrics import mean_angular_error_deg
+    from unips_jax.streaming import estimate_photographs
+    from unips_jax.weights import load_weights
+
+    config, params = load_weights(arguments.weights)
+    files = PSWildFolders(SAMPLE, min_images=1)[0]
+    size = read_size(files.normals)
+    sample = read_object(files, np.arange(len(files.photographs)), size)
+    images, mask, truth = (sample[name] for name in ("images", "mask", "normals"))
+    with progress("estimating normals") as report:
+        normals = estimate_photographs(
+            params, images, mask, config=config, progress=report
+        )
+    error = float(mean_angular_error_deg(normals, truth, mask))
+    towards = np.array([0.0, 0.0, 1.0])
+    constant = float(mean_angular_error_deg(towards, truth, mask))
+    scores = f"mean angular error {error:.2f} degrees (constant normal {constant:.2f})"
+    with appearing_at_once(arguments.output) as place:
+        write_normals(place, normals)
+        for name, shown in (("sheet", normals), ("truth", truth)):
+            write_sheet(
+                place / f"{name}.png",
+                images / images.max(axis=(1, 2, 3), keepdims=True),
+                shown,
+                mask,
+                title="estimated" if name == "sheet" else "true normals",
+                subtitle=scores if name == "sheet" else "the same object",
+                encoded=False,
+            )
+        record = {"mae_deg": error, "constant_mae_deg": constant}
+        write_record(place, {**record, "weights": str(arguments.weights)})
+    print(f"{len(images)} photographs, {scores}")
+    print(f"wrote {arguments.output}/: sheet.png, truth.png, normals.png, normals.npy")
+
+
+def read_size(file: Path) -> int:
+    """Side of a square image, in pixels."""
+    from unips_jax.image_files import read_image
+
+    return read_image(file).shape[0]
+
+
+main = command(_main)
+
+if __name__ == "__main__":
+    raise SystemExit(main())
