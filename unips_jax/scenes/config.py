@@ -37,6 +37,8 @@ class SceneConfig:
         sensor: whether the camera adds noise, response, quantisation, blur and mask
             errors; without it images are linear radiances scaled by the exposure.
         linear_rate: share of scenes whose response curve is linear.
+        eight_bit_rate: share of linear scenes stored in 8 bits instead of 16 (of the
+            others four fifths are).
         noise_rate: share of scenes with visible sensor noise.
         blur_rate: share of scenes that are slightly blurred.
         mask_error_rate: share of scenes whose mask lost some of its border.
@@ -56,6 +58,7 @@ class SceneConfig:
     interreflection: bool = True
     sensor: bool = True
     linear_rate: float = 0.6
+    eight_bit_rate: float = 0.2
     noise_rate: float = 0.6
     blur_rate: float = 0.3
     mask_error_rate: float = 0.15
@@ -79,7 +82,7 @@ class SceneConfig:
             )
         for name in (
             *("perspective_rate", "linear_rate", "noise_rate", "blur_rate"),
-            "mask_error_rate",
+            *("mask_error_rate", "eight_bit_rate"),
         ):
             rate = getattr(self, name)
             _require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")

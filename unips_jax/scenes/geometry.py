@@ -2,7 +2,8 @@
 
 World and camera axes agree: x right, y up, z towards the viewer. The object fits
 into the unit sphere at the origin. Rays are sphere-traced through the signed
-distance; normals are its derivative on the surface with all detail.
+distance. Normals are its derivative, plus that of the fine relief, which tilts
+normals but is too low to move what is seen.
 """
 
 import math
@@ -15,7 +16,7 @@ from jax import Array
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.noise import Point, dot, normalize, rotate
-from unips_jax.scenes.sdf import Shape, detail, distance, surface
+from unips_jax.scenes.sdf import Shape, detail, distance
 from unips_jax.scenes.shapes import draw_shape, is_flat
 
 CANDIDATE_SIZE = 20
@@ -155,21 +156,19 @@ def _trace(
     return t, last
 
 
-def _value_and_gradient(function, point: Point) -> Array:
-    """A field and its derivative, `[4, ...]`: value, d/dx, d/dy, d/dz.
+def _gradient(function, point: Point) -> Point:
+    """Derivative of a field.
 
     Forward and in a loop: the fields are loops, dear to reverse, and written out the
-    compiler repeats the value for every consumer.
+    compiler repeats the field for every consumer.
     """
 
-    def entry(index: Array) -> Array:
-        tangent = tuple(
-            jnp.full_like(point[0], 1.0) * (index == i + 1) for i in range(3)
-        )
-        value, slope = jax.jvp(function, (point,), (tangent,))
-        return jnp.where(index == 0, value, slope)
+    def slope(tangent: Array) -> Array:
+        full = tuple(jnp.full_like(point[0], 1.0) * tangent[i] for i in range(3))
+        return jax.jvp(function, (point,), (full,))[1]
 
-    return jax.lax.map(entry, jnp.arange(4))
+    x, y, z = jax.lax.map(slope, jnp.eye(3))
+    return x, y, z
 
 
 def normal_entropy_bits(normals: Array, mask: Array) -> Array:
@@ -205,11 +204,11 @@ def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array]:
     u, v = pixel_grid(CANDIDATE_SIZE)
     rays = camera_rays(camera, u, v)
     near, _ = _sphere_interval(*rays)
-    t, _ = _trace(shape, to_object, rays, near, 1 / CANDIDATE_SIZE, 10)
+    t, last = _trace(shape, to_object, rays, near, 1 / CANDIDATE_SIZE, 10)
     point = along(*rays, t)
-    fields = _value_and_gradient(lambda p: world_distance(shape, to_object, p), point)
-    hit = fields[0] < 0.7 / CANDIDATE_SIZE
-    normals = jnp.stack(normalize(tuple(fields[1:])), -1)  # type: ignore[arg-type]
+    hit = last < 0.7 / CANDIDATE_SIZE
+    gradient = _gradient(lambda p: world_distance(shape, to_object, p), point)
+    normals = jnp.stack(normalize(gradient), -1)
     margin = 0.7 / CANDIDATE_SIZE
     bounds = [
         (jnp.min(jnp.where(hit, c, 1.0)), jnp.max(jnp.where(hit, c, -1.0)))
@@ -391,30 +390,37 @@ def _visible_surface(
     rays = camera_rays(camera, *pixel_grid(size))
     near, _ = _sphere_interval(*rays)
     start = jnp.maximum(start - 0.5 * factor * pixel, near)
-    t, base = _trace(shape, to_object, rays, start, pixel, 13)
-    mask = base < 0.5 * pixel
+    t, last = _trace(shape, to_object, rays, start, pixel, 13)
+    mask = last < 0.5 * pixel
 
-    def height(point: Point) -> Array:
-        return surface(shape, object_point(shape, to_object, point)) / shape.radius
+    def base(point: Point) -> Array:
+        return world_distance(shape, to_object, point)
 
     def secant(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         t, last, moved = carry
-        value = height(along(*rays, t))
+        value = base(along(*rays, t))
         slope = (last - value) / jnp.where(jnp.abs(moved) < 1e-6, 1e-6, moved)
         moved = value / jnp.clip(slope, 0.15, 1.5)
         moved = jnp.clip(moved, -2 * pixel, 2 * pixel)
         return t + moved, value, moved
 
-    carry = (t, jnp.full_like(t, 1.0), jnp.full_like(t, 1.0))
-    t = jax.lax.fori_loop(0, 3, secant, carry)[0]
+    one = jnp.ones_like(t)
+    t, _, _ = jax.lax.fori_loop(0, 2, secant, (t, one, one))
     point = along(*rays, t)
-    fields = _value_and_gradient(height, point)
-    normal = normalize(tuple(fields[1:]))  # type: ignore[arg-type]
-    bump = detail(shape, object_point(shape, to_object, point))
+
+    def relief(point: Point) -> Array:
+        return detail(shape, object_point(shape, to_object, point))
+
+    height, pullback = jax.vjp(relief, point)
+    (slope,) = pullback(jnp.full_like(height, shape.step_scale / shape.radius))
+    smooth = _gradient(base, point)
+    normal = normalize(
+        (smooth[0] - slope[0], smooth[1] - slope[1], smooth[2] - slope[2])
+    )
     view = tuple(-c for c in rays[1])
     away = jnp.minimum(dot(normal, view), 0.0)  # type: ignore[arg-type]
     normal = normalize(along(normal, view, -away))  # type: ignore[arg-type]
-    return mask, point, normal, view, bump  # type: ignore[return-value]
+    return mask, point, normal, view, height  # type: ignore[return-value]
 
 
 def _resolve_detail(shape: Shape, camera: Camera, size: int) -> Shape:

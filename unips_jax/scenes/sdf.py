@@ -3,8 +3,8 @@
 Every primitive is the same formula (a rounded rectangle, optionally hollowed to a
 ring, extruded and rounded again, then scaled) with different parameters, so that a
 batch of different shapes costs one evaluation each. Unions and cuts are smooth.
-Waves displace the composition; `detail` adds finer relief that only the surface and
-its normals see, not the shadow rays.
+Waves displace the composition; `detail` is a finer relief that tilts the normals and
+that rays do not see.
 """
 
 from typing import NamedTuple
@@ -216,13 +216,3 @@ def detail(shape: Shape, point: Point) -> Array:
     bump = jnp.maximum(1 - 5.0 * dot(cell, cell), 0.0)
     height = height + d.dimple * bump * bump
     return height + d.weave * sine(fx) * sine(fy)
-
-
-def surface(shape: Shape, point: Point) -> Array:
-    """Implicit function of the displaced surface: zero on it, negative inside.
-
-    Args:
-        shape: parameters.
-        point: in the object's frame.
-    """
-    return distance(shape, point) - detail(shape, point) * shape.step_scale

@@ -105,7 +105,7 @@ def record(
     weights = [config.linear_rate, 0.4 * curved, 0.4 * curved, 0.2 * curved]
     curve = draws.choice(weights)
     images = _response(images, curve, draws.uniform(1.6, 2.6))
-    coarse = draws.chance(jnp.where(curve == 0, 0.2, 0.8))
+    coarse = draws.chance(jnp.where(curve == 0, config.eight_bit_rate, 0.8))
     levels = jnp.where(coarse, 255.0, 65535.0)
     images = jnp.round(images * levels) / levels
     rate = jnp.where(draws.chance(config.mask_error_rate), draws.uniform(0.2, 1.0), 0)

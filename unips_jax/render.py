@@ -1,0 +1,218 @@
+"""`unips render`: scenes with known normals, as folders of photographs or a sheet.
+
+The folders follow PS-Wild-Test: one per object and lighting, with 16-bit linear
+images `L_*.png`, `mask.png`, and `normal.tif` (n = 2 v / 65535 - 1, x right, y up,
+z to the viewer, background 32768); `meta.json` says what was drawn.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import jax
+import numpy as np
+
+from unips_jax.command import InputError, command, track
+from unips_jax.scenes import (
+    LIGHT_KINDS,
+    MATERIALS,
+    SHAPE_KINDS,
+    Scene,
+    SceneConfig,
+    render_batch,
+)
+
+LIGHTINGS = ("directional", "environment", "mixed")
+_FOLDER_CONFIG = SceneConfig(
+    linear_rate=1.0, eight_bit_rate=0.0, blur_rate=0.0, mask_error_rate=0.0
+)
+
+
+def _write(path: Path, pixels: np.ndarray) -> None:
+    """Writes RGB or grey pixels; the suffix chooses the format."""
+    if pixels.ndim == 3:
+        pixels = pixels[..., ::-1]
+    ok, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels))
+    if not ok:
+        raise OSError(f"{path}: could not be encoded")
+    path.write_bytes(data.tobytes())
+
+
+def encode_normals(normals: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Normals as 16-bit colours.
+
+    Args:
+        normals: `[H, W, 3]`, unit inside the mask.
+        mask: `[H, W]` bool.
+
+    Returns:
+        `[H, W, 3]` uint16, v = 65535 (n + 1) / 2 rounded, 32768 outside the mask.
+    """
+    values = np.rint((np.clip(normals, -1, 1) + 1) * 32767.5)
+    return np.where(mask[..., None], values, 32768).astype(np.uint16)
+
+
+def describe(scene: Scene) -> dict[str, Any]:
+    """What was drawn, in plain values.
+
+    Args:
+        scene: one scene, without a batch axis.
+    """
+    facts: dict[str, Any] = {
+        "light": LIGHT_KINDS[int(scene.light_kind)],
+        "shape": SHAPE_KINDS[int(scene.shape_kind)],
+        "material": MATERIALS[int(scene.material)],
+        "focal_mm": round(float(scene.focal), 3) or None,
+    }
+    if facts["light"] == "directional":
+        facts["light_directions"] = np.asarray(scene.light_directions).tolist()
+        facts["light_intensities"] = np.asarray(scene.light_intensities).tolist()
+    return facts
+
+
+def write_folder(folder: Path, scene: Scene, facts: dict[str, Any]) -> None:
+    """Writes one scene; the folder appears only when it is complete.
+
+    Args:
+        folder: `X.data`, must not exist.
+        scene: one scene, without a batch axis.
+        facts: what goes into `meta.json` beside `describe(scene)`.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        mask = np.asarray(scene.mask)
+        for index, image in enumerate(np.asarray(scene.images)):
+            pixels = np.rint(np.clip(image, 0, 1) * 65535).astype(np.uint16)
+            _write(partial / f"L_{index:02d}.png", pixels)
+        _write(partial / "mask.png", mask.astype(np.uint8) * 255)
+        normals = encode_normals(np.asarray(scene.normals), mask)
+        _write(partial / "normal.tif", normals)
+        text = json.dumps({**facts, **describe(scene)}, indent=1)
+        (partial / "meta.json").write_text(text + "\n")
+        partial.chmod(0o755)
+        os.rename(partial, folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def render_folders(
+    out: Path, *, objects: int, images: int, size: int, seed: int
+) -> None:
+    """Writes `out/LIGHTING/objNNN.data` for every object and lighting.
+
+    Object K of a seed is always the same; folders that exist are kept.
+
+    Args:
+        out: the tree's root.
+        objects: how many.
+        images: per folder.
+        size: side in pixels, a multiple of 4.
+        seed: of the whole tree.
+    """
+    jobs = [(index, name) for index in range(objects) for name in LIGHTINGS]
+    for index, name in track(jobs, "rendering"):
+        folder = out / name / f"obj{index:03d}.data"
+        if folder.exists():
+            continue
+        key = jax.random.fold_in(jax.random.key(seed), index)
+        batch = render_batch(
+            key[None],
+            size=size,
+            num_images=images,
+            config=_FOLDER_CONFIG,
+            light_kind=np.int32(LIGHT_KINDS.index(name)),
+        )
+        scene = jax.tree.map(lambda leaf: leaf[0], batch)
+        write_folder(folder, scene, {"seed": seed, "object": index, "size": size})
+
+
+def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:
+    """Tiles of a normal map and three images each.
+
+    Args:
+        scenes: with a batch axis and at least three images.
+        columns: tiles per row.
+
+    Returns:
+        RGB uint8.
+    """
+    normals = np.where(
+        np.asarray(scenes.mask)[..., None], 0.5 * np.asarray(scenes.normals) + 0.5, 0.25
+    )
+    images = np.asarray(scenes.images)
+    top = np.concatenate([normals, images[:, 0]], 2)
+    bottom = np.concatenate([images[:, 1], images[:, 2]], 2)
+    tiles = np.concatenate([top, bottom], 1)
+    tiles = np.pad(tiles, ((0, 0), (2, 2), (2, 2), (0, 0)), constant_values=0.5)
+    rows = [
+        np.concatenate(list(tiles[first : first + columns]), 1)
+        for first in range(0, len(tiles) - columns + 1, columns)
+    ]
+    return np.rint(np.clip(np.concatenate(rows), 0, 1) * 255).astype(np.uint8)
+
+
+def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
+    """Writes a contact sheet of random scenes.
+
+    Args:
+        path: of the picture.
+        size: side of each image in pixels.
+        seed: of the scenes.
+        scenes: how many; a multiple of 8.
+    """
+    batches = []
+    for first in track(range(0, scenes, 8), "rendering"):
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), first), 8)
+        batch = render_batch(keys, size=size, num_images=3)
+        batches.append(jax.tree.map(np.asarray, batch))
+    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _write(path, contact_sheet(joined))
+
+
+def _main(argv: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="unips render", description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, help="folder for PS-Wild folders")
+    parser.add_argument("--sheet", type=Path, help="picture of 64 random scenes")
+    parser.add_argument("--objects", type=int, default=6, help="(6)")
+    parser.add_argument("--images", type=int, default=8, help="per folder (8)")
+    parser.add_argument("--size", type=int, default=128, help="in pixels (128)")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(argv)
+    if options.output is None and options.sheet is None:
+        raise InputError("expected -o DIR, --sheet OUT.png or both, got neither")
+    if options.size <= 0 or options.size % 4:
+        raise InputError(f"--size: expected a multiple of 4, got {options.size}")
+    for name in ("objects", "images"):
+        if getattr(options, name) < 1:
+            raise InputError(
+                f"--{name}: expected at least 1, got {getattr(options, name)}"
+            )
+    if options.sheet is not None:
+        if options.sheet.suffix.lower() not in (".png", ".jpg", ".jpeg", ".tif"):
+            raise InputError(
+                f"--sheet: expected a file ending in .png, .jpg or .tif, got "
+                f"{options.sheet}"
+            )
+        render_sheet(options.sheet, size=options.size, seed=options.seed)
+        print(f"wrote {options.sheet}")
+    if options.output is not None:
+        render_folders(
+            options.output,
+            objects=options.objects,
+            images=options.images,
+            size=options.size,
+            seed=options.seed,
+        )
+        print(f"wrote {options.output}")
+
+
+main = command(_main)
