@@ -285,7 +285,7 @@ class TrainConfig:
         checkpoint_every: steps between checkpoints.
         keep: how many checkpoints are kept.
         validate_every: steps between validations.
-        validation_scenes: held-out scenes in a validation.
+        validation_scenes: held-out scenes in a validation; 0: no validation.
         validation_images: images of each.
     """
 
@@ -307,7 +307,7 @@ class TrainConfig:
         _require_positive(
             self,
             *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
-            *("validation_scenes", "validation_images"),
+            "validation_images",
         )
 
 

@@ -77,3 +77,12 @@ def state_sharding(state: Any, mesh: Mesh) -> Any:
         return replicated(mesh)
 
     return jax.tree.map(choose, state)
+
+
+def to_host(tree: Any) -> Any:
+    """NumPy arrays of whole device arrays, whichever process holds their parts."""
+    if jax.process_count() == 1:
+        return jax.device_get(tree)
+    from jax.experimental import multihost_utils
+
+    return multihost_utils.process_allgather(tree, tiled=True)

@@ -31,6 +31,7 @@ from unips_jax.sharding import (
     make_mesh,
     replicated,
     state_sharding,
+    to_host,
 )
 from unips_jax.train_log import TrainLog
 from unips_jax.train_state import TrainState, init_state
@@ -44,8 +45,8 @@ def train(
 ) -> TrainState:
     """Trains, from nothing or from the newest checkpoint in `workdir`.
 
-    Writes `checkpoints/`, `metrics.jsonl`, and at every validation that improves
-    `best.safetensors`.
+    Writes `checkpoints/`, `metrics.jsonl`, `best.safetensors` at every validation that
+    improves, and `last.safetensors` at the end.
 
     Args:
         config: of the run.
@@ -103,6 +104,8 @@ def train(
             if stop.is_set:
                 log.line(f"stopped by SIGTERM after step {step}; checkpoint saved")
                 break
+    params = to_host(state.released_params())
+    _write_weights(workdir / "last.safetensors", config, params, int(state.step), {})
     return state
 
 
@@ -135,7 +138,9 @@ def _batches(
         return bool(np.random.default_rng((seed, step, 1)).random() < scene_share)
 
     # Scenes always have the largest number of images: one compilation serves all.
-    @functools.partial(jax.jit, out_shardings=batch_sharding(mesh))
+    sharding = batch_sharding(mesh)
+
+    @functools.partial(jax.jit, out_shardings=sharding)
     def render(step: jax.Array) -> Batch:
         keys = jax.random.split(jax.random.fold_in(scene_key, step), data.batch_size)
         scene = render_batch(
@@ -158,14 +163,17 @@ def _batches(
             process=(jax.process_index(), jax.process_count()),
             workers=data.workers,
         )
-    place = functools.partial(
-        jax.make_array_from_process_local_data, batch_sharding(mesh)
-    )
+
+    @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)
+    def take(images: jax.Array, count: int) -> jax.Array:
+        return images[:, :count]
+
+    place = functools.partial(jax.make_array_from_process_local_data, sharding)
     for step in itertools.count(first + 1):
         if from_scenes(step):
             batch = render(np.int32(step))
             count = draw_num_images(data.num_images, seed, step)
-            yield {**batch, "images": batch["images"][:, :count]}
+            yield {**batch, "images": take(batch["images"], count)}
         else:
             yield jax.tree.map(place, next(folders))
 
@@ -193,7 +201,7 @@ def _check_finite(
     if np.isfinite(loss) and np.isfinite(float(metrics["grad_norm"])):
         return
     path = workdir / f"nonfinite_step{step}.npz"
-    np.savez(path, **jax.device_get(batch))
+    np.savez(path, **to_host(batch))
     raise FloatingPointError(
         f"step {step}: loss {loss} or its gradient is not finite; the batch is in "
         f"{path}. Lower --optim.learning-rate or continue from an earlier checkpoint"
@@ -207,7 +215,9 @@ def _validate_and_keep_best(
     workdir: Path,
     log: TrainLog,
 ) -> dict[str, Any]:
-    params = state.released_params()
+    if not config.train.validation_scenes:
+        return record
+    params = to_host(state.released_params())
     scores = validate(
         params,
         config.model,
@@ -221,17 +231,16 @@ def _validate_and_keep_best(
     best = record["best_mae_deg"]
     if best is not None and best <= scores["mae"]:
         return record
-    save_weights(
-        workdir / "best.safetensors",
-        config.model,
-        jax.device_get(params),
-        record={
-            "step": step,
-            "config": json.loads(to_json(config)),
-            "validation": scores,
-        },
-    )
+    _write_weights(workdir / "best.safetensors", config, params, step, scores)
     return {**record, "best_mae_deg": scores["mae"], "best_step": step}
+
+
+def _write_weights(
+    path: Path, config: Config, params: Any, step: int, scores: dict[str, float]
+) -> None:
+    if jax.process_index() == 0:
+        record = {"step": step, "config": json.loads(to_json(config))}
+        save_weights(path, config.model, params, record={**record, "scores": scores})
 
 
 def load_config(path: str) -> Config:
