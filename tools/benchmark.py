@@ -1,0 +1,231 @@
+"""Speed and memory, as shares of this run's own matrix products.
+
+    python tools/benchmark.py [--config unips] [--images 10] [--size 512] [--train]
+
+Prints one JSON line: versions, device, medians. Absolute seconds say little on shared
+machines; so the rate of every part is given as a share of the rate of float32 matrix
+products of the network's own sizes, timed in the same run, between the parts.
+Operations are those of the plain network, as its sizes give them: what the
+implementation saves by rearranging counts in its favour, what it adds against it.
+"""
+
+import argparse
+import functools
+import json
+import resource
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import unips_jax
+from unips_jax.command import InputError, command, keep_compiled
+from unips_jax.config import Config, DataConfig, ModelConfig
+from unips_jax.estimation import CHUNK_TOKENS, estimate_normals
+from unips_jax.train import load_config
+from unips_jax.train_state import init_state
+from unips_jax.train_step import train_step
+from unips_jax.weights import OFFICIAL_CONFIG, random_weights
+
+
+def decoder_operations(config: ModelConfig) -> float:
+    """Multiplications and additions of the plain decoder, per pixel and image."""
+    total, width = 0.0, 3 + config.context_dim
+    for _ in range(config.aggregation_layers):
+        total += 3 * width * config.hidden_dim
+        total += 2 * config.hidden_dim * config.aggregation_mlp_dim
+        if config.attention == "pre_norm":
+            total += config.hidden_dim**2
+        width = config.hidden_dim
+    total += 2 * config.hidden_dim**2  # keys and values of the pooling
+    return 2 * total
+
+
+def encoder_operations(config: ModelConfig) -> float:
+    """Multiplications and additions of the plain encoder, per image.
+
+    As the compiler counts them; padded windows count as what they are.
+    """
+    from unips_jax.models.unips import UniPS
+
+    size = config.canonical_size
+    images = jax.ShapeDtypeStruct((1, size, size, 4), jnp.float32)
+    params = jax.eval_shape(functools.partial(random_weights, config))
+
+    def run(params: Any, images: jax.Array) -> jax.Array:
+        return UniPS(config).bind({"params": params}).encoder(images)
+
+    cost = jax.jit(run).lower(params, images).cost_analysis()
+    return float(cost["flops"]) if cost else float("nan")
+
+
+def median_seconds(run: Callable[[], Any], repeats: int) -> float:
+    """Median wall time of a call, its result waited for."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        jax.block_until_ready(run())
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def matrix_rate(config: ModelConfig, seconds: float = 2.0) -> float:
+    """Operations per second of plain products of the decoder's sizes."""
+    d, m = config.hidden_dim, config.aggregation_mlp_dim
+    x, w1, w2, w3 = (
+        jnp.ones(shape, jnp.float32)
+        for shape in ((CHUNK_TOKENS, d), (d, d), (d, m), (m, d))
+    )
+
+    @jax.jit
+    def products(x: jax.Array) -> jax.Array:
+        for _ in range(4):  # one layer: query, key, value and the MLP's two
+            x = ((x @ w1 + x @ w1 + x @ w1) @ w2) @ w3 * 1e-9
+        return x
+
+    operations = 4 * 2 * CHUNK_TOKENS * (3 * d * d + 2 * d * m)
+    jax.block_until_ready(products(x))
+    count, start = 0, time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        jax.block_until_ready(products(x))
+        count += 1
+    return count * operations / (time.perf_counter() - start)
+
+
+def disc(images: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random images, and a disc mask of 55 % of the pixels."""
+    y, x = np.mgrid[-1 : 1 : size * 1j, -1 : 1 : size * 1j]
+    mask = x**2 + y**2 < 0.7
+    generator = np.random.default_rng(0)
+    return generator.random((images, size, size, 3), np.float32), mask
+
+
+def shares(seconds: float, operations: float, rates: Sequence[float]) -> dict:
+    """A part's rate and its share of the products timed before and after it."""
+    rate = operations / seconds
+    return {
+        "seconds": round(seconds, 3),
+        "gflop_per_s": round(rate / 1e9, 1),
+        "share_of_products": round(rate / statistics.mean(rates), 3),
+    }
+
+
+def estimation_benchmark(
+    config: ModelConfig, images: int, size: int, repeats: int
+) -> dict:
+    """End to end, first call and warm."""
+    params = random_weights(config)
+    stack, mask = map(jnp.asarray, disc(images, size))
+    decoder = decoder_operations(config) * images * int(mask.sum())
+    encoder = encoder_operations(config) * images
+    run = functools.partial(estimate_normals, params, stack, mask, config=config)
+    start = time.perf_counter()
+    jax.block_until_ready(run())
+    first = time.perf_counter() - start
+    rates, times = [matrix_rate(config)], []
+    for _ in range(repeats):
+        times.append(median_seconds(run, 1))
+        rates.append(matrix_rate(config))
+    nothing = jnp.zeros_like(mask)  # no pixel to decode
+    empty = functools.partial(estimate_normals, params, stack, nothing, config=config)
+    return {
+        "first_call_seconds": round(first, 1),
+        "encoder_gflop": round(encoder / 1e9, 1),
+        "decoder_gflop": round(decoder / 1e9, 1),
+        "end_to_end": shares(statistics.median(times), encoder + decoder, rates),
+        "encoder": shares(median_seconds(empty, repeats), encoder, rates),
+        "products_gflop_per_s": [round(rate / 1e9, 1) for rate in rates],
+    }
+
+
+def training_benchmark(config: Config, images: int, repeats: int) -> dict:
+    """One step on one object, and the scenes it would need."""
+    from unips_jax.scenes import render_batch
+
+    data, model = config.data, config.model
+    stack, mask = disc(images, data.image_size)
+    normals = np.zeros((data.image_size,) * 2 + (3,), np.float32)
+    normals[..., 2] = 1
+    batch = {
+        "images": jnp.asarray(stack)[None].repeat(data.batch_size, 0),
+        "mask": jnp.asarray(mask)[None].repeat(data.batch_size, 0),
+        "normals": jnp.asarray(normals)[None].repeat(data.batch_size, 0),
+    }
+    state = jax.jit(init_state, static_argnums=0)(config, jax.random.key(0))
+    step = jax.jit(functools.partial(train_step, config=config), donate_argnums=0)
+    key = jax.random.key(1)
+    state, _ = jax.block_until_ready(step(state, batch, key))
+    pixels = data.pixels_for(images)
+    if data.grid_loss:
+        pixels += (model.canonical_size // 4) ** 2
+    forward = images * (encoder_operations(model) + decoder_operations(model) * pixels)
+    rates, times = [matrix_rate(model)], []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        state, _ = jax.block_until_ready(step(state, batch, key))
+        times.append(time.perf_counter() - start)
+        rates.append(matrix_rate(model))
+    seconds = statistics.median(times)
+    render = functools.partial(
+        render_batch, size=data.image_size, num_images=images, config=config.scenes
+    )
+    keys = jax.random.split(key, data.batch_size)
+    jax.block_until_ready(render(keys))
+    scenes = median_seconds(lambda: render(keys), repeats)
+    return {
+        "objects": data.batch_size,
+        "images": images,
+        "step": shares(seconds, 3 * data.batch_size * forward, rates),
+        "scenes_per_second": round(data.batch_size / scenes, 1),
+        "scenes_share_of_step": round(scenes / seconds, 3),
+        "products_gflop_per_s": [round(rate / 1e9, 1) for rate in rates],
+    }
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """Runs the benchmark."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--config", default="official", help="official, or a file")
+    parser.add_argument("--images", type=int, default=10)
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--train", action="store_true", help="a training step instead")
+    arguments = parser.parse_args(argv)
+    if arguments.repeats < 1:
+        raise InputError(f"--repeats {arguments.repeats}: expected 1 or more")
+    keep_compiled()
+    if arguments.config == "official":
+        data = DataConfig(image_size=arguments.size, batch_size=1)
+        config = Config(model=OFFICIAL_CONFIG, data=data)
+    else:
+        config = load_config(arguments.config)
+    if arguments.train:
+        result = training_benchmark(config, arguments.images, arguments.repeats)
+    else:
+        result = estimation_benchmark(
+            config.model, arguments.images, arguments.size, arguments.repeats
+        )
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(
+        json.dumps(
+            {
+                "unips_jax": unips_jax.__version__,
+                "jax": jax.__version__,
+                "device": jax.devices()[0].device_kind,
+                "config": arguments.config,
+                **result,
+                "peak_memory_gb": round(peak / 1e6, 2),
+            }
+        )
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
