@@ -82,9 +82,14 @@ def world_distance(shape: Shape, to_object: Array, point: Point) -> Array:
 
 
 def pixel_grid(size: int) -> tuple[Array, Array]:
-    """Frame coordinates of pixel centres: u right, v up, in (-1, 1), `[size, size]`."""
+    """Frame coordinates of pixel centres: u right, v up, in (-1, 1), `[size * size]`.
+
+    Flat, as all fields are while rays are marched: the compiler vectorises the last
+    axis only.
+    """
     centers = (2 * jnp.arange(size, dtype=jnp.float32) + 1) / size - 1
-    return jnp.meshgrid(centers, -centers)
+    u, v = jnp.meshgrid(centers, -centers)
+    return u.reshape(-1), v.reshape(-1)
 
 
 def camera_rays(camera: Camera, u: Array, v: Array) -> tuple[Point, Point]:
@@ -367,26 +372,30 @@ def _sky_visibility(
 ) -> Array:
     """Visibility in every basis direction, `[D, h, w]`; points `[3, h, w]`."""
     sharpness = math.sqrt(directions.shape[0] / 1.8)
-    lifted = tuple((points + 0.03 * normals)[:, None])
-    towards = tuple(directions.T[..., None, None])
-    cosine = jnp.einsum("chw,dc->dhw", normals, directions)
+    count, (h, w) = directions.shape[0], points.shape[1:]
+    lifted = (points + 0.03 * normals).reshape(3, 1, -1)
+    full = (3, count, h * w)
+    origin = jnp.broadcast_to(lifted, full).reshape(3, -1)
+    towards = jnp.broadcast_to(directions.T[:, :, None], full).reshape(3, -1)
     clear = clearance(
-        *(shape, to_object, lifted, towards, 1e3),  # type: ignore[arg-type]
+        *(shape, to_object, tuple(origin), tuple(towards), 1e3),  # type: ignore[arg-type]
         steps=6,
         first=0.05,
     )
-    return soft_visibility(clear, cosine, sharpness)
+    cosine = jnp.einsum("chw,dc->dhw", normals, directions)
+    return soft_visibility(clear.reshape(count, h, w), cosine, sharpness)
 
 
 def _visible_surface(
     shape: Shape, to_object: Array, camera: Camera, size: int
 ) -> tuple[Array, Point, Point, Point, Array]:
-    """Mask, points, normals, directions to the viewer and relief height."""
+    """Mask, points, normals, directions to the viewer, relief height; all flat."""
     pixel = 2 * camera.window[2] / size
     factor = 4
     rays = camera_rays(camera, *pixel_grid(size // factor))
     start = _approach(shape, to_object, rays, 0.75 * factor * pixel, 12)
-    start = jnp.repeat(jnp.repeat(start, factor, 0), factor, 1)
+    start = start.reshape(size // factor, size // factor)
+    start = jnp.repeat(jnp.repeat(start, factor, 0), factor, 1).reshape(-1)
     rays = camera_rays(camera, *pixel_grid(size))
     near, _ = _sphere_interval(*rays)
     start = jnp.maximum(start - 0.5 * factor * pixel, near)
@@ -424,8 +433,8 @@ def _visible_surface(
 
 
 def _resolve_detail(shape: Shape, camera: Camera, size: int) -> Shape:
-    """Keeps the finest cells wider than six pixels."""
-    limit = size / (2 * camera.window[2] * 6 * shape.radius)
+    """Keeps the finest cells wider than nine pixels."""
+    limit = size / (2 * camera.window[2] * 9 * shape.radius)
     frequency = jnp.minimum(shape.detail.frequency, limit)
     return shape._replace(detail=shape.detail._replace(frequency=frequency))
 
@@ -492,19 +501,25 @@ def finish_geometry(
     shape = _resolve_detail(shape, camera, size)
     mask, point, normal, view, relief = _visible_surface(shape, to_object, camera, size)
     directions = _basis_directions(Draws(key, 128), config.num_directions)
-    picked = pick(jnp.stack([*point, *normal]), mask, SKY_STRIDE)
+    frame = (size, size)
+    # A product with the identity: the compiler stores its result, where it would
+    # otherwise work out the normals again for each of their uses.
+    fields = jnp.eye(11) @ jnp.stack([*point, *normal, *view, relief, 1.0 * mask])
+    fields = fields.reshape(11, *frame)
+    relief, mask = fields[9], fields[10] > 0.5
+    picked = pick(fields[:6], mask, SKY_STRIDE)
     coarse = _sky_visibility(shape, to_object, picked[:3], picked[3:], directions)
     visibility = spread(coarse, mask, SKY_STRIDE)
-    normals = jnp.where(mask[..., None], jnp.stack(normal, -1), 0.0)
+    fields = jnp.moveaxis(fields, 0, -1)
     detail_ = shape.detail
     amplitude = detail_.noise + detail_.groove + detail_.ridge + detail_.weave
     amplitude = amplitude + jnp.abs(detail_.dimple) + 1e-6
     focal = 18 * camera.distance / camera.window[2]
     return Geometry(
         mask=mask,
-        normals=normals,
-        positions=jnp.stack(point, -1),
-        view=jnp.stack(view, -1),
+        normals=jnp.where(mask[..., None], fields[..., 3:6], 0.0),
+        positions=fields[..., :3],
+        view=fields[..., 6:9],
         height=relief / amplitude,
         directions=directions,
         visibility=visibility,

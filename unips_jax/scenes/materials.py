@@ -43,37 +43,68 @@ class Surface(NamedTuple):
     """Reflectance at every pixel.
 
     Attributes:
-        base_color: `[3, H, W]`, linear, in [0, 1].
-        roughness: `[H, W]`, perceptual (the square root of GGX's alpha).
-        metallic: `[H, W]`, in [0, 1].
+        base_color: `[3, P]`, linear, in [0, 1].
+        roughness: `[P]`, perceptual (the square root of GGX's alpha).
+        metallic: `[P]`, in [0, 1].
+        specular: scalar in [0, 1], weight of the dielectric lobe; 0 is Lambertian.
     """
 
     base_color: Array
     roughness: Array
     metallic: Array
+    specular: Array
 
 
 def fresnel_f0(surface: Surface) -> Array:
-    """Reflectance at normal incidence, `[3, H, W]`."""
+    """Reflectance at normal incidence, `[3, P]`."""
     return DIELECTRIC_F0 + surface.metallic * (surface.base_color - DIELECTRIC_F0)
 
 
-def environment_brdf(cosine: Array, roughness: Array) -> tuple[Array, Array]:
-    """Directional albedo of GGX as F0 * a + b.
+# Least-squares fits to the integrals of `ggx` over the hemisphere, for roughness in
+# [0.06, 1]; largest error 0.045 (at grazing angles), standard deviation 0.01.
+# Rows: powers of roughness 0..3.
+_TOTAL_FIT = (  # columns: powers 0..3 of the cosine
+    (0.9882, 0.4726, -1.3685, 0.8656),
+    (-0.7182, 0.2868, 5.9688, -4.9373),
+    (1.8145, -7.0983, -1.2869, 4.9095),
+    (-1.1759, 4.7276, -1.5423, -1.6349),
+)
+_WHITE_FIT = (  # columns: powers 2, 4, 6, 9 of one minus the cosine
+    (0.0952, -0.7093, 3.0041, -1.2498),
+    (-0.6195, 7.2503, -13.7069, 3.602),
+    (1.2558, -13.8375, 18.728, -2.2377),
+    (-0.7358, 7.3725, -7.9934, -0.1806),
+)
+_MEAN_FIT = (0.0887, -0.0173, -0.1549, 0.1038)
 
-    Source: Karis, Physically Based Shading on Mobile (2014), a fit of the split sum.
+
+def _polynomial(x: Array, coefficients: tuple[Array | float, ...]) -> Array:
+    total: Array | float = 0.0
+    for coefficient in reversed(coefficients):
+        total = total * x + coefficient
+    return total  # type: ignore[return-value]
+
+
+def environment_brdf(cosine: Array, roughness: Array) -> tuple[Array, Array]:
+    """Directional albedo of the specular lobe as F0 * a + b.
 
     Args:
         cosine: between normal and direction, in [0, 1].
         roughness: perceptual.
 
     Returns:
-        a and b.
+        a and b, at least 0; a + b is at most about 1.
     """
-    r0, r1 = 1 - roughness, -0.0275 * roughness + 0.0425
-    r2, r3 = -0.572 * roughness + 1.04, 0.022 * roughness - 0.04
-    common = jnp.minimum(r0 * r0, jnp.exp2(-9.28 * cosine)) * r0 + r1
-    return -1.04 * common + r2, jnp.maximum(1.04 * common + r3, 0.0)
+    rows = [_polynomial(cosine, row) for row in _TOTAL_FIT]
+    total = jnp.clip(_polynomial(roughness, tuple(rows)), 0.0, 1.0)
+    m2 = (1 - cosine) ** 2
+    powers = (m2, m2 * m2, m2 * m2 * m2, m2 * m2 * m2 * m2 * (1 - cosine))
+    rows = [
+        sum(c * power for c, power in zip(row, powers, strict=True))  # type: ignore[misc]
+        for row in _WHITE_FIT
+    ]
+    white = jnp.clip(_polynomial(roughness, tuple(rows)), 0.0, total)
+    return total - white, white
 
 
 def dielectric_albedo(cosine: Array, roughness: Array) -> Array:
@@ -84,7 +115,7 @@ def dielectric_albedo(cosine: Array, roughness: Array) -> Array:
 
 def mean_dielectric_albedo(roughness: Array) -> Array:
     """Cosine-weighted mean of `dielectric_albedo` over the hemisphere (a fit)."""
-    return 0.1 - 0.04 * roughness
+    return _polynomial(roughness, _MEAN_FIT)
 
 
 def ggx(n_h: Array, n_l: Array, n_v: Array, alpha: Array) -> Array:
@@ -114,39 +145,39 @@ def schlick(cosine: Array) -> Array:
     return m2 * m2 * m
 
 
+def specular_weight(surface: Surface) -> Array:
+    """Weight of the specular lobe: 1 for metals, `specular` for the rest."""
+    return surface.metallic + (1 - surface.metallic) * surface.specular
+
+
 def reflectance(
-    diffuse: Array,
-    f0: Array,
-    roughness: Array,
-    alpha: Array,
+    surface: Surface,
     *,
     n_l: Array,
     n_v: Array,
     n_h: Array,
     v_h: Array,
-) -> tuple[Array, Array, Array]:
-    """The two lobes' scalar factors, to be combined with colours.
-
-    f = diffuse * kd + (f0 + (1 - f0) * white) * ks.
+    widening: Array | float = 0.0,
+) -> Array:
+    """The bidirectional reflectance, `[3, P]` in 1/sr.
 
     Args:
-        diffuse: unused shape donor, any of the broadcast shape.
-        f0: unused likewise.
-        roughness: perceptual, for the diffuse lobe's weight.
-        alpha: GGX's width, possibly widened by the light's extent.
-        n_l: cosine between normal and light, in (0, 1].
+        surface: at P pixels.
+        n_l: cosine between normal and light, in (0, 1], as the others `[P]`.
         n_v: cosine between normal and viewer, in (0, 1].
         n_h: cosine between normal and half vector.
         v_h: cosine between viewer and half vector.
-
-    Returns:
-        kd, ks in 1/sr and white.
+        widening: added to GGX's width for lights of some extent.
     """
-    del diffuse, f0
-    left = 1 - dielectric_albedo(n_l, roughness)
-    left = left * (1 - dielectric_albedo(n_v, roughness))
-    kd = left / ((1 - mean_dielectric_albedo(roughness)) * math.pi)
-    return kd, ggx(n_h, n_l, n_v, alpha), schlick(v_h)
+    rough = surface.roughness
+    alpha = jnp.minimum(rough * rough + widening, 1.0)
+    left = 1 - surface.specular * dielectric_albedo(n_l, rough)
+    left = left * (1 - surface.specular * dielectric_albedo(n_v, rough))
+    mean = surface.specular * mean_dielectric_albedo(rough)
+    f0, white = fresnel_f0(surface), schlick(v_h)
+    lobe = ggx(n_h, n_l, n_v, alpha) * specular_weight(surface)
+    diffuse = surface.base_color * (1 - surface.metallic)
+    return diffuse * (left / ((1 - mean) * math.pi)) + (f0 + (1 - f0) * white) * lobe
 
 
 def _color(draws: Draws, value: Array, saturation: Array) -> Array:
@@ -161,12 +192,12 @@ def _color(draws: Draws, value: Array, saturation: Array) -> Array:
 def _pattern(
     traits: Array, draws: Draws, seed: Array, point: Point
 ) -> tuple[Array, Array]:
-    """Texture value in [0, 1] and a slow noise, both `[H, W]`."""
+    """Texture value in [0, 1] and a slow noise, both `[P]`."""
     scale = draws.log_uniform(traits[5], traits[6])
     x, y, z = (c * scale for c in rotate(draws.rotation(), point))
     stretch = draws.uniform(1.0, 3.0)
 
-    def octave(total: Array, level: Array) -> tuple[Array, None]:
+    def octave(total: Array, level: Array) -> tuple[Array, Array]:
         f = jnp.exp2(level)
         shift = 7.3 * level
         value = gradient_noise(
@@ -200,8 +231,8 @@ def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surfac
     Args:
         key: a random key.
         kind: index into `MATERIALS`, int32 scalar.
-        point: in the object's frame, scaled to unit radius, each `[H, W]`.
-        height: `[H, W]`, the fine relief, about [-1, 1]; hollows may be darker.
+        point: in the object's frame, scaled to unit radius, each `[P]`.
+        height: `[P]`, the fine relief, about [-1, 1]; hollows may be darker.
     """
     key_draws, key_seed = jax.random.split(key)
     draws = Draws(key_draws, 64)
@@ -224,7 +255,7 @@ def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surfac
     dark = jnp.where(is_metal, metal * (1 - 0.6 * contrast), dark)
     hollow = jnp.clip(-height, 0.0, 1.0) * draws.uniform(-0.3, 0.8)
     mix = jnp.clip(value + hollow, 0.0, 1.0)
-    color = light[:, None, None] + mix * (dark - light)[:, None, None]
+    color = light[:, None] + mix * (dark - light)[:, None]
     low, high = traits[11], traits[12]
     rough = draws.uniform(low, high) + draws.uniform(-0.3, 0.3) * contrast * mix
     metallic = jnp.full_like(mix, 1.0) * is_metal
@@ -233,7 +264,9 @@ def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surfac
     threshold = draws.uniform(0.1, 0.5)
     chipped = jnp.clip((slow + 0.3 * value - threshold) * 15, 0.0, 1.0) * chip
     bare = jnp.where(is_metal, jnp.asarray([0.25, 0.12, 0.06]), metal)
-    color = color + chipped * (bare[:, None, None] - color)
+    color = color + chipped * (bare[:, None] - color)
     metallic = metallic + chipped * (1 - 2 * metallic)
     rough = rough + chipped * (draws.uniform(0.3, 0.9) - rough)
-    return Surface(color, jnp.clip(rough, 0.06, 1.0), metallic)
+    matt = draws.chance(0.4) & (low > 0.35)
+    specular = jnp.where(matt, 0.0, draws.uniform(0.3, 1.0))
+    return Surface(color, jnp.clip(rough, 0.06, 1.0), metallic, specular)

@@ -36,18 +36,15 @@ from unips_jax.scenes.lights import (
 )
 from unips_jax.scenes.materials import (
     Surface,
+    dielectric_albedo,
     draw_surface,
     environment_brdf,
     fresnel_f0,
-    ggx,
     reflectance,
-    schlick,
+    specular_weight,
 )
 from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.sensor import record
-
-__all__ = ["Scene", "ggx", "render_batch", "render_scene", "schlick", "shade"]
-
 
 KEY_STRIDE = 2
 
@@ -81,13 +78,15 @@ class Scene(NamedTuple):
 
 
 def _split(vectors: Array) -> Point:
-    return vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    """Components of vectors `[..., 3]`, flat."""
+    x, y, z = vectors.reshape(-1, 3).T
+    return x, y, z
 
 
 def key_clearance(
     geometry: Geometry, vector: Array, near: Array, *, steps: int = 10
 ) -> Array:
-    """Clearance of the rays to a key light, `[H, W]`.
+    """Clearance of the rays to a key light, `[P]` for P = H W.
 
     Marched for every second pixel and interpolated: it is continuous across the
     edges of shadows, which stay sharp when it is compared with zero afterwards.
@@ -96,6 +95,8 @@ def key_clearance(
     fields = jnp.concatenate([geometry.positions, geometry.normals], -1)
     picked = pick(jnp.moveaxis(fields, -1, 0), mask, KEY_STRIDE)
     pixel = 2 * geometry.camera.window[2] / mask.shape[0]
+    frame = picked.shape[1:]
+    picked = picked.reshape(6, -1)
     points = tuple(picked[:3])
     light, reach, _ = key_light_at(vector, near, points)  # type: ignore[arg-type]
     origin = tuple(picked[:3] + (0.01 + 0.75 * pixel) * picked[3:])
@@ -104,7 +105,8 @@ def key_clearance(
         steps=steps,
         first=0.02,
     )
-    return spread(jnp.clip(clear, -0.5, 0.5), mask, KEY_STRIDE)
+    clear = jnp.clip(clear, -0.5, 0.5).reshape(frame)
+    return spread(clear, mask, KEY_STRIDE).reshape(-1)
 
 
 def shade_key_light(
@@ -115,7 +117,7 @@ def shade_key_light(
     radius: Array,
     clear: Array,
 ) -> Array:
-    """Radiance under one key light of unit white colour, `[3, H, W]`."""
+    """Radiance under one key light of unit white colour, `[3, P]` for P = H W."""
     point, normal = _split(geometry.positions), _split(geometry.normals)
     view = _split(geometry.view)
     light, _, attenuation = key_light_at(vector, near, point)
@@ -125,20 +127,14 @@ def shade_key_light(
     sharpness = 1 / jnp.maximum(size, 0.02)
     seen = soft_visibility(clear, n_l, sharpness)
     half = normalize((light[0] + view[0], light[1] + view[1], light[2] + view[2]))
-    alpha = jnp.minimum(surface.roughness**2 + 0.4 * jnp.minimum(size, 1.0), 1.0)
-    kd, ks, white = reflectance(
-        surface.metallic,
-        surface.metallic,
-        surface.roughness,
-        alpha,
+    brdf = reflectance(
+        surface,
         n_l=jnp.maximum(n_l, 1e-3),
         n_v=n_v,
         n_h=jnp.maximum(dot(normal, half), 0.0),
         v_h=jnp.maximum(dot(view, half), 0.0),
+        widening=0.4 * jnp.minimum(size, 1.0),
     )
-    f0 = fresnel_f0(surface)
-    diffuse = surface.base_color * (1 - surface.metallic)
-    brdf = diffuse * kd + (f0 + (1 - f0) * white) * ks
     return brdf * (lit * seen * attenuation)
 
 
@@ -158,19 +154,20 @@ def shade_environment(
             hidden.
 
     Returns:
-        `[N, 3, H, W]`.
+        `[N, 3, P]` for P = H W.
     """
     normal, view = _split(geometry.normals), _split(geometry.view)
     n_v = jnp.maximum(dot(normal, view), 0.02)
     a, b = environment_brdf(n_v, surface.roughness)
     f0 = fresnel_f0(surface)
-    specular = f0 * a + b  # [3, H, W]
-    dielectric = jnp.clip(0.04 * a + b, 0.0, 1.0)
+    specular = (f0 * a + b) * specular_weight(surface)  # [3, P]
+    dielectric = surface.specular * dielectric_albedo(n_v, surface.roughness)
     diffuse = surface.base_color * (1 - surface.metallic) * (1 - dielectric)
-    basis = tuple(jnp.moveaxis(geometry.directions, -1, 0)[..., None, None])
+    basis = tuple(geometry.directions.T[..., None])
+    visibility = geometry.visibility.reshape(geometry.directions.shape[0], -1)
     cosine = jnp.maximum(sum(n * w for n, w in zip(normal, basis, strict=True)), 0.0)
-    weight = cosine / jnp.maximum(jnp.sum(cosine, 0), 1e-3)  # [D, H, W]
-    seen = weight * geometry.visibility
+    weight = cosine / jnp.maximum(jnp.sum(cosine, 0), 1e-3)  # [D, P]
+    seen = weight * visibility
     width = math.sqrt(1.8 / geometry.directions.shape[0])
     towards = _split(geometry.directions)
     table = jnp.stack(
@@ -181,24 +178,24 @@ def shade_environment(
         )(environment.rotation),
     )  # [N, 3, D]
     open_share = jnp.sum(seen, 0)
-    irradiance = jnp.einsum("dhw,ncd->nchw", seen, table)
-    irradiance = irradiance + (1 - open_share) * bounce[..., None, None]
+    irradiance = jnp.einsum("dp,ncd->ncp", seen, table)
+    irradiance = irradiance + (1 - open_share) * bounce[..., None]
     # The glossy lobe: environment around the mirror direction, where it is seen.
     n_dot_v = dot(normal, view)
     mirror = tuple(2 * n_dot_v * n - v for n, v in zip(normal, view, strict=True))
     lobe = jnp.maximum(sum(m * w for m, w in zip(mirror, basis, strict=True)), 0.0)
     lobe = lobe * lobe
     lobe = lobe * lobe * lobe + 1e-4
-    free = jnp.sum(lobe * geometry.visibility, 0) / jnp.sum(lobe, 0)
+    free = jnp.sum(lobe * visibility, 0) / jnp.sum(lobe, 0)
     blur = 0.8 * surface.roughness**2
 
     def reflected(rotation: Array) -> Array:
         return jnp.stack(environment_radiance(environment, rotation, mirror, blur))  # type: ignore[arg-type]
 
     glossy = jax.lax.map(reflected, environment.rotation)
-    glossy = free * glossy + (1 - free) * bounce[..., None, None]
+    glossy = free * glossy + (1 - free) * bounce[..., None]
     total = diffuse * irradiance + specular * glossy
-    return total * environment.scale[:, None, None, None]
+    return total * environment.scale[:, None, None]
 
 
 def _radiance(
@@ -208,7 +205,7 @@ def _radiance(
     environment: Environment,
     config: SceneConfig,
 ) -> Array:
-    """Linear radiance of every image, `[N, 3, H, W]`."""
+    """Linear radiance of every image, `[N, 3, P]`."""
     clear = jax.vmap(lambda *light: key_clearance(geometry, *light))(
         keys.vector, keys.near
     )
@@ -216,12 +213,12 @@ def _radiance(
         lambda light: shade_key_light(geometry, surface, *light),
         (keys.vector, keys.near, keys.radius, clear),
     )
-    direct = direct * keys.color[..., None, None]
-    mask = geometry.mask.astype(jnp.float32)
+    direct = direct * keys.color[..., None]
+    mask = geometry.mask.reshape(-1).astype(jnp.float32)
     area = jnp.maximum(jnp.sum(mask), 1.0)
-    albedo = jnp.sum(fresnel_f0(surface) * surface.metallic * mask, (1, 2)) / area
+    albedo = jnp.sum(fresnel_f0(surface) * surface.metallic * mask, 1) / area
     plain = surface.base_color * (1 - surface.metallic) * mask
-    albedo = albedo + jnp.sum(plain, (1, 2)) / area
+    albedo = albedo + jnp.sum(plain, 1) / area
     table = jax.vmap(
         lambda r: jnp.stack(
             environment_radiance(
@@ -266,11 +263,12 @@ def shade(
     local = object_point(shape, geometry.to_object, _split(geometry.positions))
     inverse = 1 / shape.radius
     local = (local[0] * inverse, local[1] * inverse, local[2] * inverse)
-    surface = draw_surface(key_surface, matter, local, geometry.height)
+    surface = draw_surface(key_surface, matter, local, geometry.height.reshape(-1))
     keys, environment = draw_lights(
         Draws(key_lights, 160 + 24 * num_images), light, num_images
     )
     radiance = _radiance(geometry, surface, keys, environment, config)
+    radiance = radiance.reshape(num_images, 3, *geometry.mask.shape)
     images, mask = record(key_sensor, radiance, geometry.mask, config)
     directional = light == 0
     return Scene(

@@ -10,7 +10,11 @@ from unips_jax.scenes.noise import pixel_noise
 
 
 def expose(radiance: Array, mask: Array, target: Array) -> Array:
-    """Scales each image so that mean plus two standard deviations meet a target.
+    """Scales each image to a target brightness.
+
+    The measure lies between the bright end (mean plus two standard deviations) and
+    the typical value (from the mean root), so that neither highlights nor shadows
+    alone decide. For a matt sphere it is about the brightest value.
 
     Args:
         radiance: `[N, 3, H, W]`.
@@ -19,11 +23,15 @@ def expose(radiance: Array, mask: Array, target: Array) -> Array:
     """
     weight = mask.astype(jnp.float32)
     total = 3 * jnp.maximum(jnp.sum(weight), 1.0)
-    mean = jnp.sum(radiance * weight, (1, 2, 3), keepdims=True) / total
-    spread = jnp.sum((radiance - mean) ** 2 * weight, (1, 2, 3), keepdims=True) / total
-    return radiance * (
-        target[:, None, None, None] / (mean + 2 * jnp.sqrt(spread) + 1e-6)
-    )
+
+    def mean(values: Array) -> Array:
+        return jnp.sum(values * weight, (1, 2, 3), keepdims=True) / total
+
+    middle, square = mean(radiance), mean(radiance * radiance)
+    root = mean(jnp.sqrt(jnp.maximum(radiance, 0.0)))
+    bright = middle + 2 * jnp.sqrt(jnp.maximum(square - middle * middle, 0.0))
+    measure = jnp.sqrt(bright * 2.2 * root * root) + 1e-6
+    return radiance * (target[:, None, None, None] / measure)
 
 
 def blur(images: Array, mask: Array, amount: Array) -> Array:

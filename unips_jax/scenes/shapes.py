@@ -112,7 +112,7 @@ def _typed_primitives(draws: Draws, kind: Array, size: Array, blend: Array):
     return primitives, reach
 
 
-def _attached_centers(draws: Draws, size: Array) -> Array:
+def _attached_centers(draws: Draws, size: Array, used: Array) -> Array:
     """Each slot sits near the surface of one before it, so that all are connected."""
     offset = draws.direction(NUM_SLOTS)
     parent = draws.unit(NUM_SLOTS)
@@ -121,6 +121,7 @@ def _attached_centers(draws: Draws, size: Array) -> Array:
     for slot in range(1, NUM_SLOTS):
         count = min(slot, NUM_UNIONS)
         index = (parent[slot] * count).astype(jnp.int32)
+        index = jnp.where(used[index], index, 0)
         one_hot = (jnp.arange(count) == index).astype(jnp.float32)
         origin = one_hot @ jnp.stack(centers[:count])
         reach = one_hot @ size[:count]
@@ -138,7 +139,7 @@ def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
     used = draws.chance(jnp.where(is_cut, traits[6], traits[5]), NUM_SLOTS)
     used = used.at[:2].set(True)
     primitives, reach = _typed_primitives(draws, kind, size, blend)
-    centers = _attached_centers(draws, size)
+    centers = _attached_centers(draws, size, used)
 
     # Turned objects stack their slots along the axis; the last cut opens the top.
     axis = jnp.stack(
@@ -162,9 +163,9 @@ def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
         ],
         -1,
     )
-    face = face.at[0].set(0.0)
+    face = face.at[0].set(jnp.asarray([0.0, 0.0, -0.25]))
     centers = jnp.where(flat, face, centers)
-    slab = jnp.stack([1.5, draws.uniform(1.1, 1.5), 0.12])
+    slab = jnp.stack([1.5, draws.uniform(1.1, 1.5), 0.35])
     first = {
         "scale": jnp.ones(3),
         "rotation": jnp.eye(3),
@@ -201,7 +202,7 @@ def _bounding_sphere(
 
 def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
     frequency = draws.log_uniform(2.0, 14.0)
-    slope = draws.log_uniform(0.05, 0.5)
+    slope = draws.log_uniform(0.04, 0.4)
     pattern = draws.choice([0.45, 0.12, 0.12, 0.12, 0.12])
     wavy = draws.chance(0.6)
     flat = draws.chance(jnp.where(is_flat(kind), 0.1, 0.3))

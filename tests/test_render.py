@@ -1,0 +1,104 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from unips_jax import render
+from unips_jax.scenes import Scene
+
+
+@pytest.fixture
+def scene():
+    mask = np.zeros((8, 12), bool)
+    mask[2:6, 3:10] = True
+    normals = np.where(mask[..., None], [0.6, 0.0, 0.8], 0.0).astype(np.float32)
+    ramp = np.linspace(0, 1, 2 * 8 * 12 * 3, dtype=np.float32)
+    return Scene(
+        images=ramp.reshape(2, 8, 12, 3),
+        mask=mask,
+        normals=normals,
+        light_kind=np.int32(0),
+        shape_kind=np.int32(1),
+        material=np.int32(2),
+        focal=np.float32(0),
+        light_directions=np.tile(np.float32([0, 0, 1]), (2, 1)),
+        light_intensities=np.ones((2, 3), np.float32),
+    )
+
+
+def _read(path):
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+
+
+def test_a_folder_holds_what_was_drawn(tmp_path, scene):
+    folder = tmp_path / "directional" / "obj000.data"
+    render.write_folder(folder, scene, {"seed": 3})
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["L_00.png", "L_01.png", "mask.png", "meta.json", "normal.tif"]
+    image = _read(folder / "L_01.png")[..., ::-1]
+    assert image.dtype == np.uint16
+    np.testing.assert_allclose(image / 65535, scene.images[1], atol=1e-5)
+    np.testing.assert_array_equal(_read(folder / "mask.png") > 0, scene.mask)
+    coded = _read(folder / "normal.tif")[..., ::-1].astype(np.float64)
+    normals = 2 * coded / 65535 - 1
+    np.testing.assert_allclose(
+        normals[scene.mask], scene.normals[scene.mask], atol=2e-5
+    )
+    assert np.all(coded[~scene.mask] == 32768)
+    np.testing.assert_array_equal(
+        np.abs(1 - np.linalg.norm(normals, axis=-1)) < 1e-3, scene.mask
+    )
+    facts = json.loads((folder / "meta.json").read_text())
+    assert facts["seed"] == 3 and facts["material"] == "wood"
+    assert facts["light"] == "directional" and facts["focal_mm"] is None
+    assert facts["light_directions"] == [[0, 0, 1]] * 2
+    assert [path.name for path in folder.parent.iterdir()] == ["obj000.data"]
+
+
+def test_a_failure_leaves_nothing_behind(tmp_path, scene):
+    broken = scene._replace(material=np.int32(99))
+    with pytest.raises(IndexError):
+        render.write_folder(tmp_path / "obj000.data", broken, {})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_sheet_has_a_tile_per_scene(scene):
+    many = Scene(*(np.stack([leaf] * 4) for leaf in scene))
+    many = many._replace(images=np.stack([scene.images[[0, 1, 1]]] * 4))
+    sheet = render.contact_sheet(many, columns=2)
+    assert sheet.shape == (2 * (16 + 4), 2 * (24 + 4), 3) and sheet.dtype == np.uint8
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ([], "expected -o DIR"),
+        (["-o", "x", "--size", "30"], "multiple of 4, got 30"),
+        (["-o", "x", "--objects", "0"], "--objects: expected at least 1"),
+        (["--sheet", "x.txt"], "--sheet: expected a file ending"),
+    ],
+)
+def test_bad_arguments_are_named(capsys, arguments, message):
+    assert render.main(arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_trees_are_reproducible_and_kept(tmp_path):
+    arguments = ["--objects", "2", "--images", "2", "--size", "32", "--seed", "4"]
+    assert render.main(["-o", str(tmp_path / "a"), *arguments]) == 0
+    assert render.main(["-o", str(tmp_path / "b"), *arguments]) == 0
+    first = sorted(path for path in (tmp_path / "a").rglob("*") if path.is_file())
+    assert len(first) == 2 * 3 * 5
+    for path in first:
+        twin = tmp_path / "b" / path.relative_to(tmp_path / "a")
+        assert path.read_bytes() == twin.read_bytes()
+    masks = {
+        (tmp_path / "a" / name / "obj000.data" / "mask.png").read_bytes()
+        for name in render.LIGHTINGS
+    }
+    assert len(masks) == 1
+    stamp = first[0].stat().st_mtime_ns
+    assert render.main(["-o", str(tmp_path / "a"), *arguments]) == 0
+    assert first[0].stat().st_mtime_ns == stamp

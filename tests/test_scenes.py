@@ -1,0 +1,351 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from unips_jax.metrics import angular_error_deg
+from unips_jax.scenes import SceneConfig, geometry, lights, materials, render, sdf
+
+CONFIG = SceneConfig()
+FLAT = {"twist": 0.0, "lathe": 0.0, "mirror": 0.0, "wave_warp": 0.0, "wave_ridge": 0.0}
+
+
+def make_shape(
+    balls=(), slabs=(), noise=0.0, frequency=1.0, amplitude=0.0
+) -> sdf.Shape:
+    """Balls (center, radius) and boxes (center, half extents) in a unit sphere."""
+    rows = []
+    for center, radius in balls:
+        rows.append((center, np.full(3, radius), np.ones(3), 1.0, 1.0))
+    for center, half in slabs:
+        rows.append((center, np.ones(3), np.asarray(half), 0.0, 0.0))
+    used = len(rows)
+    rows += [(np.zeros(3), np.ones(3), np.ones(3), 0.0, 0.0)] * (sdf.NUM_SLOTS - used)
+    center, scale, extent, corner, edge = (
+        jnp.asarray(np.stack([np.asarray(c, np.float32) for c in column]))
+        for column in zip(*rows, strict=True)
+    )
+    count = sdf.NUM_SLOTS
+    primitives = sdf.Primitives(
+        center=center,
+        rotation=jnp.broadcast_to(jnp.eye(3), (count, 3, 3)),
+        scale=scale,
+        extent=extent,
+        corner=corner,
+        hole=jnp.full(count, sdf.SOLID),
+        edge=edge,
+        blend=jnp.full(count, 1e-4),
+        absent=jnp.where(jnp.arange(count) < used, 0.0, 1e3),
+    )
+    zero = jnp.float32(0)
+    relief = sdf.Detail(
+        seed=jnp.uint32(7),
+        rotation=jnp.eye(3),
+        frequency=jnp.float32(frequency),
+        noise=jnp.float32(noise),
+        groove=zero,
+        ridge=zero,
+        dimple=zero,
+        weave=zero,
+        groove_width=jnp.float32(0.2),
+    )
+    waves = jnp.zeros((sdf.NUM_WAVES, 5)).at[0].set(jnp.asarray([2, 1, 0, 0.1, 0.0]))
+    return sdf.Shape(
+        slots=sdf.pack(primitives),
+        waves=waves.at[0, 4].set(amplitude),
+        step_scale=jnp.float32(1 if amplitude == 0 else 0.7),
+        detail=relief,
+        center=jnp.zeros(3),
+        radius=jnp.float32(1),
+        kind=jnp.int32(0),
+        **{name: jnp.float32(value) for name, value in FLAT.items()},
+    )
+
+
+def look(shape, *, size=32, perspective=0.0, distance=3.0, half=1.0, config=CONFIG):
+    camera = geometry.Camera(
+        jnp.float32(perspective), jnp.float32(distance), jnp.asarray([0.0, 0, half])
+    )
+    return jax.jit(
+        lambda s: geometry.finish_geometry(
+            jax.random.key(0), s, jnp.eye(3), camera, size=size, config=config
+        )
+    )(shape)
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    return look(make_shape(balls=[((0, 0, 0), 0.9)]))
+
+
+def matt(geometry_, color=0.6):
+    count = geometry_.mask.size
+    return materials.Surface(
+        base_color=jnp.full((3, count), color),
+        roughness=jnp.full(count, 0.5),
+        metallic=jnp.zeros(count),
+        specular=jnp.float32(0),
+    )
+
+
+def constant_environment(radiance):
+    zeros = jnp.zeros(3)
+    full = zeros + radiance
+    return lights.Environment(
+        rotation=jnp.eye(3)[None],
+        zenith=full,
+        horizon=full,
+        ground=full,
+        axes=jnp.broadcast_to(jnp.eye(3), (lights.NUM_LOBES, 3, 3)),
+        half=jnp.full((lights.NUM_LOBES, 2), 0.1),
+        color=jnp.zeros((lights.NUM_LOBES, 3)),
+        clutter=jnp.float32(0),
+        clutter_frequency=jnp.float32(1),
+        scale=jnp.ones(1),
+    )
+
+
+def directional(geometry_, surface, direction):
+    direction = jnp.asarray(direction, jnp.float32)
+    direction = direction / jnp.linalg.norm(direction)
+    near, radius = jnp.float32(0), jnp.float32(0.005)
+    clear = jax.jit(render.key_clearance)(geometry_, direction, near)
+    image = render.shade_key_light(geometry_, surface, direction, near, radius, clear)
+    return np.asarray(image).reshape(3, *geometry_.mask.shape)[0]
+
+
+def test_the_sphere_is_where_it_should_be(sphere):
+    u, v = (np.asarray(c).reshape(32, 32) for c in geometry.pixel_grid(32))
+    inside = np.hypot(u, v)
+    assert np.all(sphere.mask[inside < 0.88])
+    assert not np.any(sphere.mask[inside > 0.93])
+    z = np.sqrt(np.maximum(0.81 - u**2 - v**2, 0))
+    true = np.stack([u, v, z], -1) / 0.9
+    interior = inside < 0.85
+    error = angular_error_deg(sphere.normals, true)
+    assert np.max(np.asarray(error)[interior]) < 0.3
+    assert v[0, 0] > 0 > u[0, 0]  # row 0 on top, y up
+    assert np.all(np.asarray(sphere.normals)[~np.asarray(sphere.mask)] == 0)
+
+
+def test_normals_are_the_derivative_of_the_displaced_surface():
+    shape = make_shape(
+        balls=[((0, 0, 0), 0.8)], noise=0.02, frequency=4.0, amplitude=0.04
+    )
+    found = look(shape)
+    shape = found.shape
+    mask = np.asarray(found.mask)
+    points = np.asarray(found.positions)[mask]
+    step = 2e-3
+
+    @jax.jit
+    def value(p):
+        point = (p[:, 0], p[:, 1], p[:, 2])
+        relief = sdf.detail(shape, point) * shape.step_scale
+        return sdf.distance(shape, point) - relief
+
+    slope = [
+        np.asarray(value(points + step * axis) - value(points - step * axis))
+        for axis in np.eye(3, dtype=np.float32)
+    ]
+    error = angular_error_deg(np.asarray(found.normals)[mask], np.stack(slope, -1))
+    facing = np.stack(slope, -1)[:, 2] > 0.1 * np.linalg.norm(slope, axis=0)
+    assert np.mean(np.asarray(error)[facing]) < 0.15
+    assert np.quantile(np.asarray(error)[facing], 0.99) < 1.0
+
+
+def test_normals_face_the_viewer_and_are_unit(sphere):
+    mask = np.asarray(sphere.mask)
+    normals = np.asarray(sphere.normals)[mask]
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+    assert np.min(np.sum(normals * np.asarray(sphere.view)[mask], -1)) > -1e-5
+
+
+def test_perspective_points_project_to_their_pixels():
+    found = look(
+        make_shape(balls=[((0.1, 0, 0), 0.8)]),
+        perspective=1.0,
+        distance=1.6,
+        half=1.2,
+    )
+    mask = np.asarray(found.mask)
+    x, y, z = np.asarray(found.positions)[mask].T
+    u, v = (np.asarray(c).reshape(32, 32)[mask] for c in geometry.pixel_grid(32))
+    depth = 1.6 - z
+    np.testing.assert_allclose(x / depth * 1.6 / 1.2, u, atol=1e-4)
+    np.testing.assert_allclose(y / depth * 1.6 / 1.2, v, atol=1e-4)
+    assert float(found.focal) == pytest.approx(18 * 1.6 / 1.2)
+    # A sphere shows less than a hemisphere: the rim's normals still face away from z.
+    view = np.asarray(found.view)[mask]
+    np.testing.assert_allclose(
+        view,
+        np.stack([-x, -y, depth], -1) / np.linalg.norm([x, y, depth], axis=0)[:, None],
+        atol=1e-4,
+    )
+
+
+def test_lambertian_sphere_under_a_directional_light(sphere):
+    for direction in ((0, 0, 1), (-1, 0.3, 1), (0, 1, 0.4)):
+        image = directional(sphere, matt(sphere), direction)
+        unit = np.asarray(direction) / np.linalg.norm(direction)
+        cosine = np.asarray(sphere.normals) @ unit
+        inside = np.asarray(sphere.mask) & (cosine > 0.1)
+        expected = 0.6 / np.pi * cosine
+        np.testing.assert_allclose(image[inside], expected[inside], rtol=0.01)
+        assert np.all(image[np.asarray(sphere.mask) & (cosine < 0)] == 0)
+
+
+def test_light_from_the_left_brightens_slopes_that_face_left(sphere):
+    image = directional(sphere, matt(sphere), (-1, 0, 0.5))
+    left = np.asarray(sphere.normals)[..., 0] < -0.3
+    right = np.asarray(sphere.normals)[..., 0] > 0.3
+    assert image[left].mean() > 3 * image[right].mean()
+    assert left[:, :16].sum() > 0 and not left[:, 17:].any()
+    above = directional(sphere, matt(sphere), (0, 1, 0.5))
+    assert above[:16].sum() > 3 * above[16:].sum()
+
+
+def test_lambertian_sphere_under_a_constant_environment(sphere):
+    image = render.shade_environment(
+        sphere, matt(sphere), constant_environment(2.0), jnp.zeros((1, 3))
+    )
+    inside = np.asarray(sphere.mask).reshape(-1)
+    np.testing.assert_allclose(np.asarray(image)[0, :, inside], 1.2, rtol=0.03)
+
+
+def test_cast_shadow_of_a_ball_over_a_plane():
+    shape = make_shape(
+        balls=[((0, 0, 0.5), 0.2)], slabs=[((0, 0, -0.1), (0.9, 0.9, 0.1))]
+    )
+    found = look(shape, size=64)
+    image = directional(found, matt(found), (1, 0, 1))
+    lit = 0.6 / np.pi / np.sqrt(2)
+    u, v = (np.asarray(c).reshape(64, 64) for c in geometry.pixel_grid(64))
+    plane = (np.abs(u) < 0.8) & (np.abs(v) < 0.8) & (np.hypot(u, v) > 0.25)
+    # The shadow is an ellipse about x = -0.5, half axes 0.2 sqrt(2) and 0.2.
+    ellipse = np.hypot((u + 0.5) / np.sqrt(2), v)
+    assert np.all(image[plane & (ellipse < 0.14)] < 0.05 * lit)
+    outside = image[plane & (ellipse > 0.26)]
+    np.testing.assert_allclose(outside, lit, rtol=0.05)
+
+
+def _surface(base, roughness, metallic, specular=1.0):
+    return materials.Surface(
+        jnp.full((3, 1), base),
+        jnp.full(1, roughness),
+        jnp.full(1, metallic),
+        jnp.float32(specular),
+    )
+
+
+def _brdf(surface, light, view):
+    half = light + view
+    half = half / jnp.linalg.norm(half, axis=-1, keepdims=True)
+    return materials.reflectance(
+        surface,
+        n_l=light[:, 2],
+        n_v=view[:, 2],
+        n_h=half[:, 2],
+        v_h=jnp.sum(view * half, -1),
+    )[0]
+
+
+def _hemisphere(count=64):
+    """Midpoints and solid angles of a fine grid over the hemisphere."""
+    z = (np.arange(4 * count) + 0.5) / (4 * count)
+    phi = 2 * np.pi * (np.arange(4 * count) + 0.5) / (4 * count)
+    z, phi = (grid.ravel() for grid in np.meshgrid(z, phi))
+    ring = np.sqrt(1 - z**2)
+    directions = np.stack([ring * np.cos(phi), ring * np.sin(phi), z], -1)
+    return jnp.asarray(directions, jnp.float32), 2 * np.pi / z.size
+
+
+@pytest.mark.parametrize("metallic", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("roughness", [0.2, 0.6, 1.0])
+def test_reflectance_is_reciprocal(metallic, roughness):
+    a = np.random.default_rng(0).normal(size=(2, 50, 3)).astype(np.float32)
+    a[..., 2] = np.abs(a[..., 2]) + 0.05
+    light, view = a / np.linalg.norm(a, axis=-1, keepdims=True)
+    surface = _surface(0.7, roughness, metallic)
+    there = _brdf(surface, jnp.asarray(light), jnp.asarray(view))
+    back = _brdf(surface, jnp.asarray(view), jnp.asarray(light))
+    np.testing.assert_allclose(there, back, rtol=2e-5)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("cosine", [0.2, 0.6, 1.0])
+def test_white_furnace(roughness, cosine):
+    light, solid_angle = _hemisphere()
+    view = jnp.asarray([[np.sqrt(1 - cosine**2), 0.0, cosine]], jnp.float32)
+    view = jnp.broadcast_to(view, light.shape)
+
+    def albedo(surface):
+        return float(jnp.sum(_brdf(surface, light, view) * light[:, 2]) * solid_angle)
+
+    lambertian = albedo(_surface(1.0, roughness, 0.0, 0.0))
+    assert lambertian == pytest.approx(1.0, abs=1e-3)
+    white = albedo(_surface(1.0, roughness, 0.0))
+    assert 0.96 < white < 1.02
+    metal = albedo(_surface(1.0, roughness, 1.0))
+    a, b = materials.environment_brdf(jnp.float32(cosine), jnp.float32(roughness))
+    assert metal < 1.001
+    assert metal == pytest.approx(float(a + b), abs=0.04)
+
+
+def test_constant_environment_never_amplifies(sphere):
+    count = sphere.mask.size
+    for metallic in (0.0, 1.0):
+        surface = materials.Surface(
+            jnp.ones((3, count)),
+            jnp.linspace(0.06, 1.0, count),
+            jnp.full(count, metallic),
+            jnp.float32(1),
+        )
+        image = render.shade_environment(
+            sphere, surface, constant_environment(1.0), jnp.ones((1, 3))
+        )
+        inside = np.asarray(sphere.mask).reshape(-1)
+        assert np.max(np.asarray(image)[0, :, inside]) < 1.02
+        assert np.min(np.asarray(image)[0, :, inside]) > 0.3
+
+
+def test_near_light_falls_off_with_the_square_of_the_distance():
+    point = tuple(jnp.asarray([c]) for c in (0.0, 0.0, 1.0))
+    direction, reach, factor = lights.key_light_at(
+        jnp.asarray([0.0, 0.0, 3.0]), jnp.float32(1), point
+    )
+    assert [float(c[0]) for c in direction] == pytest.approx([0, 0, 1])
+    assert (float(reach[0]), float(factor[0])) == pytest.approx((2, 0.25))
+
+
+def test_entropy_of_known_maps():
+    mask = jnp.ones((16, 16))
+    plane = jnp.broadcast_to(jnp.asarray([0.0, 0, 1]), (16, 16, 3))
+    assert float(geometry.normal_entropy_bits(plane, mask)) == 0
+    centers = (np.arange(16) + 0.5) / 8 - 1
+    every = np.stack([*np.meshgrid(centers, centers), np.ones((16, 16))], -1)
+    entropy = geometry.normal_entropy_bits(jnp.asarray(every, jnp.float32), mask)
+    assert float(entropy) == pytest.approx(8.0, abs=1e-4)
+    assert float(geometry.normal_entropy_bits(plane, 0 * mask)) == 0
+
+
+def test_pick_and_spread_ignore_what_is_not_masked():
+    mask = np.zeros((8, 12), bool)
+    mask[1, 2] = mask[5:, 4:] = True
+    values = jnp.asarray(np.where(mask, 3.0, 1e3), jnp.float32)
+    small = geometry.pick(values, jnp.asarray(mask), 4)
+    assert small.shape == (2, 3)
+    np.testing.assert_allclose(small[0, 0], 3.0)
+    full = geometry.spread(small, jnp.asarray(mask), 4)
+    np.testing.assert_allclose(full[mask], 3.0, rtol=1e-3)
+
+
+def test_bad_sizes_and_configurations_are_named():
+    with pytest.raises(ValueError, match="multiple of 4, got 30"):
+        geometry.render_geometry(jax.random.key(0), size=30)
+    with pytest.raises(ValueError, match="light_weights: expected 5 weights"):
+        SceneConfig(light_weights=(1.0,))
+    with pytest.raises(ValueError, match="blur_rate: expected a rate"):
+        SceneConfig(blur_rate=2.0)
+    with pytest.raises(ValueError, match="focal_range_mm"):
+        SceneConfig(focal_range_mm=(50.0, 20.0))
