@@ -1,0 +1,89 @@
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from unips_jax.scenes import SceneConfig, render_batch, render_scene
+
+CONFIG = SceneConfig(rotation_candidates=2, num_directions=8)
+render = functools.partial(render_batch, size=32, num_images=3, config=CONFIG)
+
+
+@pytest.fixture(scope="module")
+def keys():
+    return jax.random.split(jax.random.key(11), 12)
+
+
+@pytest.fixture(scope="module")
+def scenes(keys):
+    return jax.tree.map(np.asarray, render(keys))
+
+
+def test_scenes_keep_their_promises(scenes):
+    assert scenes.images.shape == (12, 3, 32, 32, 3)
+    assert scenes.images.dtype == np.float32 and scenes.mask.dtype == bool
+    for leaf in scenes:
+        assert np.all(np.isfinite(leaf))
+    assert scenes.images.min() >= 0 and scenes.images.max() <= 1
+    outside = ~scenes.mask
+    assert np.all(np.moveaxis(scenes.images, 1, -2)[outside] == 0)
+    assert np.all(scenes.normals[outside] == 0)
+    length = np.linalg.norm(scenes.normals[scenes.mask], axis=-1)
+    np.testing.assert_allclose(length, 1, atol=1e-5)
+    away = scenes.light_kind != 0
+    assert np.all(scenes.light_directions[away] == 0)
+    length = np.linalg.norm(scenes.light_directions[~away], axis=-1)
+    np.testing.assert_allclose(length, 1, atol=1e-5)
+
+
+def test_silhouettes_reach_the_frame(scenes):
+    share = scenes.mask.mean((1, 2))
+    assert share.min() > 0.05
+    rows, columns = scenes.mask.any(2).sum(1), scenes.mask.any(1).sum(1)
+    assert np.all(np.maximum(rows, columns) >= 25)
+
+
+def test_a_scene_depends_on_its_key_alone(keys, scenes):
+    again = jax.tree.map(np.asarray, render(keys[::-1]))
+    for there, back in zip(scenes, again, strict=True):
+        np.testing.assert_array_equal(there, back[::-1])
+    assert len({image.tobytes() for image in scenes.images}) == 12
+
+
+def test_the_batch_compiles_once(keys):
+    render(keys)
+    before = render_batch._cache_size()
+    render(jax.random.split(jax.random.key(12), 12))
+    assert render_batch._cache_size() == before
+
+
+@pytest.mark.slow
+def test_vmap_equals_a_loop(keys):
+    many = render(keys)
+    one = jax.jit(lambda key: render_scene(key, size=32, num_images=3, config=CONFIG))
+    for index in range(3):
+        single = one(keys[index])
+        agree = np.mean(np.asarray(single.mask) == np.asarray(many.mask[index]))
+        assert agree > 0.995
+        both = np.asarray(single.mask & many.mask[index])
+        difference = np.abs(single.normals - many.normals[index])[both]
+        assert np.quantile(np.asarray(difference), 0.99) < 1e-3
+        difference = np.abs(single.images - many.images[index])[:, both]
+        assert np.quantile(np.asarray(difference), 0.99) < 1e-2
+
+
+@pytest.mark.slow
+def test_overrides_are_honoured(keys):
+    scene = render(
+        keys,
+        light_kind=jnp.int32(1),
+        material=jnp.int32(5),
+        shape=jnp.int32(2),
+        camera=jnp.int32(1),
+    )
+    assert np.all(np.asarray(scene.light_kind) == 1)
+    assert np.all(np.asarray(scene.material) == 5)
+    assert np.all(np.asarray(scene.shape_kind) == 2)
+    assert np.all(np.asarray(scene.focal) > 0)
