@@ -1,9 +1,11 @@
-"""Converts the authors' UniPS checkpoint to a weights file of this package.
+"""Converts the authors' checkpoints to weights files of this package.
 
     python tools/convert_official.py DIR -o unips_official.safetensors
+    python tools/convert_official.py GCNet.pth -o gcnet.safetensors
 
-DIR holds `*_enc.pytmodel`, `*_agg.pytmodel` and `*_pred.pytmodel` (torch state dicts).
-Their licence applies to the result. Needs torch: `pip install 'unips-jax[convert]'`.
+DIR holds UniPS' `*_enc.pytmodel`, `*_agg.pytmodel` and `*_pred.pytmodel` (torch state
+dicts). A `.pth` file is GCNet, PS-FCN or LCNet, told apart by its keys. The authors'
+licence applies to the result. Needs torch: `pip install 'unips-jax[convert]'`.
 """
 
 import argparse
@@ -12,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from unips_jax.baselines import gcnet_weights
 from unips_jax.command import InputError, command
 from unips_jax.weights import from_official, save_weights
 
@@ -39,6 +42,7 @@ def read_state_dict(path: Path) -> dict[str, np.ndarray]:
         ) from None
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
+        state = state.get("state_dict", state)
         return {name: tensor.numpy() for name, tensor in state.items()}
     except Exception as error:  # torch raises many kinds for files it cannot read
         reason = str(error).split("\n")[0]
@@ -78,12 +82,19 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("checkpoint", type=Path, help="folder or .pth file")
     parser.add_argument("-o", "--output", type=Path, required=True)
     arguments = parser.parse_args(argv)
     if arguments.output.suffix != ".safetensors":
         raise InputError(f"-o {arguments.output}: expected a name in .safetensors")
-    config, params = from_official(read_checkpoint(arguments.folder))
+    if arguments.checkpoint.is_file():
+        arrays = read_state_dict(arguments.checkpoint)
+        network = gcnet_weights.identify(arrays)
+        params = gcnet_weights.from_official(arrays, network)
+        gcnet_weights.save_params(arguments.output, params, network)
+        print(f"{arguments.output}: use it with --method {network}:weights=FILE")
+        return
+    config, params = from_official(read_checkpoint(arguments.checkpoint))
     record = {"source": "the authors' checkpoint, converted"}
     save_weights(arguments.output, config, params, record=record)
     print(f"{arguments.output}: use it with --weights {arguments.output}")

@@ -191,3 +191,12 @@ def normalize(x: Array, *, epsilon: float = 1e-12) -> Array:
     squared = jnp.sum(jnp.square(x), axis=-1, keepdims=True)
     safe = squared > epsilon**2
     return jnp.where(safe, x * jax.lax.rsqrt(jnp.where(safe, squared, 1.0)), 0.0)
+
+
+def gelu(x: Array) -> Array:
+    """The exact GELU, x times the normal distribution function.
+
+    Through erf: `jax.nn.gelu` takes erfc, which costs four times as much on CPU and
+    gains digits only where the result is next to zero.
+    """
+    return x * (0.5 + 0.5 * jax.lax.erf(x * np.asarray(0.5**0.5, x.dtype)))

@@ -142,7 +142,7 @@ def train_step(
             config.optim.ema_decay, (1 + state.step) / (10 + state.step)
         )
         ema_params = optax.incremental_update(params, ema_params, 1 - decay)
-    metrics = {"loss": loss, "grad_norm": optax.global_norm(grads), **metrics}
+    metrics = {"loss": loss, "grad_norm": optax.tree.norm(grads), **metrics}
     return TrainState(state.step + 1, params, opt_state, ema_params), metrics
 
 

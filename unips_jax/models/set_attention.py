@@ -21,6 +21,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
+from unips_jax import ops
+
 
 def truncated_normal(stddev: float = 0.02) -> nn.initializers.Initializer:
     """The initialiser of all linear layers: normal, cut at two standard deviations."""
@@ -108,7 +110,7 @@ class SetMLP(nn.Module):
         dropout = nn.Dropout(self.dropout_rate)
         hidden = layer_norm(self.dtype, "norm")(x) if self.use_layer_norm else x
         hidden = dense(self.mlp_dim, self.dtype, "fc1")(hidden)
-        hidden = dropout(nn.gelu(hidden, approximate=False), deterministic)
+        hidden = dropout(ops.gelu(hidden), deterministic)
         hidden = dense(x.shape[-1], self.dtype, "fc2")(hidden)
         return x + dropout(hidden, deterministic)
 

@@ -133,7 +133,7 @@ class SwinBlock(nn.Module):
         x = x + drop_path(self._attend(x), deterministic)
         hidden = layer_norm(self.dtype, "norm2")(x)
         hidden = dense(int(x.shape[-1] * self.mlp_ratio), self.dtype, "fc1")(hidden)
-        hidden = nn.gelu(hidden, approximate=False)
+        hidden = ops.gelu(hidden)
         hidden = dense(x.shape[-1], self.dtype, "fc2")(hidden)
         return x + drop_path(hidden, deterministic)
 

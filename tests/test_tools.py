@@ -1,0 +1,51 @@
+"""The converter of the authors' checkpoints."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_official_parity import official_arrays
+
+from unips_jax.weights import load_weights
+
+TOOLS = Path(__file__).resolve().parents[1] / "tools"
+
+
+@pytest.fixture(scope="module")
+def convert():
+    pytest.importorskip("torch", reason="torch is not installed")
+    return runpy.run_path(str(TOOLS / "convert_official.py"))["main"]
+
+
+@pytest.mark.parametrize("prefix", ["module.", ""])
+def test_unips(convert, shared_dir, tmp_path, prefix):
+    import torch
+
+    parts = {"encoder": "enc", "aggregation": "agg", "prediction": "pred"}
+    states = {part: {} for part in parts}
+    for name, array in official_arrays(shared_dir).items():
+        part, key = name.split(".", 1)
+        key = prefix + key.removeprefix("module.")
+        states[part][key] = torch.from_numpy(array)
+    for part, suffix in parts.items():
+        torch.save(states[part], tmp_path / f"nml_{suffix}.pytmodel")
+    output = tmp_path / "unips_official.safetensors"
+    assert convert([str(tmp_path), "-o", str(output)]) == 0
+    config, params = load_weights(output)
+    assert config.attention == "released"
+    kernel = params["decoder"]["fc2"]["kernel"]
+    source = states["prediction"][f"{prefix}regression.2.weight"].numpy()
+    np.testing.assert_array_equal(kernel, source.T)
+
+
+def test_refusals_are_one_line(convert, tmp_path, capsys):
+    output = tmp_path / "out.safetensors"
+    assert convert([str(tmp_path), "-o", str(output)]) == 2
+    (tmp_path / "GCNet.pth").write_bytes(b"not a checkpoint")
+    assert convert([str(tmp_path / "GCNet.pth"), "-o", str(output)]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 2
+    assert "expected one file *_enc.pytmodel" in errors[0]
+    assert "GCNet.pth: expected a torch state dict" in errors[1]
+    assert not output.exists()
