@@ -197,17 +197,17 @@ def _pattern(
     x, y, z = (c * scale for c in rotate(draws.rotation(), point))
     stretch = draws.uniform(1.0, 3.0)
 
-    def octave(total: Array, level: Array) -> tuple[Array, Array]:
+    def octave(_: None, level: Array) -> tuple[None, Array]:
         f = jnp.exp2(level)
         shift = 7.3 * level
         value = gradient_noise(
             seed + level.astype(jnp.uint32),
             (x * f + shift, y * f * stretch, z * f - shift),
         )
-        return total + value / f, value
+        return None, value
 
-    levels = jnp.arange(3, dtype=jnp.float32)
-    fractal, octaves = lax.scan(octave, jnp.zeros_like(x), levels)
+    _, octaves = lax.scan(octave, None, jnp.arange(3, dtype=jnp.float32))
+    fractal = jnp.einsum("o,op->p", jnp.asarray([1.0, 0.5, 0.25]), octaves)
     slow = octaves[0]
     ring = jnp.sqrt(x * x + z * z + 1e-6) * 3 + 0.6 * slow + 0.1 * y
     rings = ring - jnp.floor(ring)
