@@ -5,6 +5,13 @@ from pathlib import Path
 
 import pytest
 
+# Tests compile much and compute little. Must be set before JAX starts; subprocesses
+# inherit it.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true",
+)
+
 
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:

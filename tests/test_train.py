@@ -23,10 +23,10 @@ from unips_jax.train_state import init_state
 from unips_jax.train_step import augment, train_step
 
 DATA = DataConfig(
-    source="scenes", image_size=16, batch_size=8, num_images=(2, 3), num_pixels=40
+    source="scenes", image_size=16, batch_size=8, num_images=(3,), num_pixels=40
 )
 CONFIG = Config(
-    model=SMALL,
+    model=dataclasses.replace(SMALL, depths=(1,), num_heads=(2,)),
     data=DATA,
     optim=OptimConfig(learning_rate=1e-2, ema_decay=0.9),
     train=TrainConfig(steps=12, log_every=1, checkpoint_every=2, validate_every=100),
@@ -163,16 +163,25 @@ def uninterrupted(tmp_path_factory, folders):
     return config, workdir
 
 
-def test_killed_and_resumed_is_bit_for_bit_the_same(folders, tmp_path):
-    data = dataclasses.replace(DATA, source="mixture", root=folders)
-    config = dataclasses.replace(CONFIG, data=data)
-    whole, tmp_path = tmp_path / "whole", tmp_path / "killed"
-    finish(start(whole, config))
+@pytest.mark.parametrize(
+    "source", ["folders", pytest.param("mixture", marks=pytest.mark.slow)]
+)
+def test_killed_and_resumed_is_bit_for_bit_the_same(
+    uninterrupted, folders, tmp_path, source
+):
+    config, whole = uninterrupted
+    workdir = tmp_path / "killed"
+    if source == "mixture":  # with scenes, which take long to compile
+        data = dataclasses.replace(
+            DATA, source="mixture", root=folders, num_images=(2, 3)
+        )
+        config, whole = dataclasses.replace(CONFIG, data=data), tmp_path / "whole"
+        finish(start(whole, config))
     generator = random.Random(os.urandom(8))
     kills = 0
     while kills < 3:
-        process = start(tmp_path, config)
-        log = tmp_path / "metrics.jsonl"
+        process = start(workdir, config)
+        log = workdir / "metrics.jsonl"
         before = log.read_text() if log.exists() else ""
         # Kill after a random part of the steps, or of the compilation.
         target = generator.randrange(1, 4)
@@ -185,8 +194,8 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(folders, tmp_path):
         process.send_signal(signal.SIGKILL)
         process.communicate()
         kills += 1
-    finish(start(tmp_path, config))
-    expected, actual = final_params(whole), final_params(tmp_path)
+    finish(start(workdir, config))
+    expected, actual = final_params(whole), final_params(workdir)
     assert set(expected) == set(actual)
     for name, value in expected.items():
         np.testing.assert_array_equal(actual[name], value, err_msg=name)
@@ -195,7 +204,7 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(folders, tmp_path):
         lines = (workdir / "metrics.jsonl").read_text().splitlines()
         return [json.loads(line) for line in lines]
 
-    assert losses(tmp_path) == losses(whole)
+    assert losses(workdir) == losses(whole)
 
 
 def test_sigterm_saves(uninterrupted, tmp_path):
