@@ -19,6 +19,7 @@ import re
 import struct
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -147,8 +148,15 @@ def _decode_exr(path: Path) -> np.ndarray | None:
 
 @contextlib.contextmanager
 def _quiet_decoders() -> Iterator[list[str]]:
-    """Collects what decoders print: C libraries to descriptor 2, OpenEXR to Python."""
+    """Collects what decoders print: C libraries to descriptor 2, OpenEXR to Python.
+
+    The descriptor is the whole process', so only its main thread may take it: threads
+    that read training data would swallow what others print, or never give it back.
+    """
     lines: list[str] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lines
+        return
     sys.stderr.flush()
     saved = os.dup(2)
     printed = io.StringIO()
