@@ -51,12 +51,16 @@ def batch(count=8, n=3, size=16):
     }
 
 
-def test_loss_falls():
-    state = jax.jit(init_state, static_argnums=0)(CONFIG, jax.random.key(0))
+@pytest.mark.parametrize("name", ["adamw", "muon"])
+def test_loss_falls(name):
+    config = dataclasses.replace(
+        CONFIG, optim=dataclasses.replace(CONFIG.optim, name=name)
+    )
+    state = jax.jit(init_state, static_argnums=0)(config, jax.random.key(0))
     step = jax.jit(train_step, static_argnames="config")
     data, losses = batch(), []
     for _ in range(30):
-        state, metrics = step(state, data, jax.random.key(1), config=CONFIG)
+        state, metrics = step(state, data, jax.random.key(1), config=config)
         losses.append(float(metrics["loss"]))
     assert np.mean(losses[-5:]) < 0.5 * losses[0]
     assert int(state.step) == 30
@@ -245,6 +249,20 @@ def assert_close(actual, expected):
     difference = np.concatenate([(actual[k] - v).ravel() for k, v in expected.items()])
     size = np.concatenate([v.ravel() for v in expected.values()])
     assert np.linalg.norm(difference) < 1e-3 * np.linalg.norm(size)
+
+
+def test_starts_from_weights(uninterrupted, tmp_path):
+    from unips_jax.train import train
+
+    config, whole = uninterrupted
+    rate, optim = 1e-3, dataclasses.replace(config.optim, learning_rate=1e-3)
+    steps = dataclasses.replace(config.train, steps=1)
+    config = dataclasses.replace(config, optim=optim, train=steps)
+    train(config, tmp_path, init_weights=str(whole / "last.safetensors"))
+    before, after = final_params(whole), final_params(tmp_path)
+    for name, value in before.items():
+        assert np.max(np.abs(after[name] - value)) <= 1.1 * rate
+    assert any(np.any(after[name] != value) for name, value in before.items())
 
 
 def test_other_configuration_is_refused(uninterrupted):

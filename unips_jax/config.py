@@ -212,9 +212,11 @@ class DataConfig:
 
 @dataclasses.dataclass(frozen=True)
 class OptimConfig:
-    """AdamW and its schedule.
+    """The optimiser and its schedule.
 
     Attributes:
+        name: "adamw" (the paper's) or "muon" (orthogonalised momentum for kernels,
+            AdamW for the rest).
         learning_rate: the highest learning rate.
         schedule: "cosine" (to zero at the last step) or "step" (the paper's decay).
         warmup_steps: linear rise from zero.
@@ -227,6 +229,7 @@ class OptimConfig:
         ema_decay: of the averaged parameters that are validated and released; 0: none.
     """
 
+    name: Literal["adamw", "muon"] = "adamw"
     learning_rate: float = 1e-4
     schedule: Literal["cosine", "step"] = "step"
     warmup_steps: int = 0
@@ -244,6 +247,7 @@ class OptimConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
+        _require_choice("name", self.name, ("adamw", "muon"))
         _require_choice("schedule", self.schedule, ("cosine", "step"))
         _require_positive(self, "learning_rate", "decay_every", "accumulate")
         _require(

@@ -1,9 +1,10 @@
-"""The optimiser: AdamW with clipping, a schedule and decay on kernels alone."""
+"""The optimiser: AdamW or Muon, with clipping and a schedule."""
 
 from typing import Any
 
 import jax
 import optax
+import optax.contrib
 
 from unips_jax.config import OptimConfig
 
@@ -44,19 +45,44 @@ def make_optimizer(config: OptimConfig, steps: int) -> optax.GradientTransformat
     Returns:
         An optax transformation.
     """
-    adamw = optax.adamw(
-        make_schedule(config, steps),
-        b2=config.b2,
-        weight_decay=config.weight_decay,
-        mask=is_kernel,
-    )
+    schedule = make_schedule(config, steps)
+    if config.name == "adamw":
+        rule = optax.adamw(
+            schedule,
+            b2=config.b2,
+            weight_decay=config.weight_decay,
+            mask=is_kernel,
+        )
+    else:
+        rule = optax.contrib.muon(
+            schedule,
+            adam_b2=config.b2,
+            weight_decay=config.weight_decay,
+            muon_weight_dimension_numbers=_matrix_axes,
+            consistent_rms=0.2,
+        )
     if not config.clip_norm:
-        return adamw
-    return optax.chain(optax.clip_by_global_norm(config.clip_norm), adamw)
+        return rule
+    return optax.chain(optax.clip_by_global_norm(config.clip_norm), rule)
 
 
 def is_kernel(params: Any) -> Any:
     """Marks the parameters that weight decay shrinks: kernels, by their name."""
     return jax.tree_util.tree_map_with_path(
         lambda path, _: getattr(path[-1], "key", None) == "kernel", params
+    )
+
+
+def _matrix_axes(params: Any) -> Any:
+    """How Muon sees a parameter: kernels as matrices `[inputs, outputs]`."""
+    return jax.tree.map(
+        lambda value, kernel: (
+            optax.contrib.MuonDimensionNumbers(
+                reduction_axis=tuple(range(value.ndim - 1)), output_axis=value.ndim - 1
+            )
+            if kernel
+            else None
+        ),
+        params,
+        is_kernel(params),
     )

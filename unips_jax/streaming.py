@@ -1,6 +1,6 @@
 """`estimate_normals` for photographs: they stay on the host in their storage type."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 import jax
@@ -55,7 +55,6 @@ def estimate_photographs(
     bucket = next((b for b in _BUCKETS if b >= n), n)
     valid = np.arange(bucket) < n
     square = square_frame(mask, frame)
-    rows, columns = np.nonzero(mask)
     inputs = np.zeros((bucket, *[config.canonical_size] * 2, 4), np.float32)
     gains = np.zeros(n, np.float32)
     for i in range(n):
@@ -70,8 +69,8 @@ def estimate_photographs(
 
     normals = np.zeros((*mask.shape, 3), np.float32)
     size = max(1, CHUNK_TOKENS // bucket)
-    for start in range(0, rows.size, size):
-        y, x = rows[start : start + size], columns[start : start + size]
+    done, total = 0, int(np.count_nonzero(mask))
+    for y, x in _masked_pixels(mask, size):
         pixels = np.zeros((size, bucket, 3), np.float32)
         for i in range(n):
             pixels[: y.size, i] = _linear(images[i][y, x], transfer) * gains[i]
@@ -81,7 +80,8 @@ def estimate_photographs(
         )
         normals[y, x] = np.asarray(decoded)[: y.size]
         if progress is not None:
-            progress(start + y.size, rows.size)
+            done += y.size
+            progress(done, total)
     return normals
 
 
@@ -89,6 +89,22 @@ _encode_jit = jax.jit(encode, static_argnames=("config", "uniform_contexts"))
 
 
 _decode_jit = jax.jit(decode, static_argnames="config")
+
+
+def _masked_pixels(
+    mask: np.ndarray, size: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Rows and columns of the masked pixels, `size` at a time, the last ones fewer."""
+    step = max(1, 2**18 // mask.shape[1])
+    rest = np.zeros((2, 0), int)
+    for top in range(0, mask.shape[0], step):
+        y, x = np.nonzero(mask[top : top + step])
+        rest = np.concatenate([rest, np.stack([y + top, x])], axis=1)
+        while rest.shape[1] >= size:
+            yield rest[0, :size], rest[1, :size]
+            rest = rest[:, size:]
+    if rest.size:
+        yield rest[0], rest[1]
 
 
 def _linear(values: np.ndarray, transfer: str) -> np.ndarray:

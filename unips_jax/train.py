@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 from jax.sharding import Mesh
@@ -36,7 +37,7 @@ from unips_jax.sharding import (
 from unips_jax.train_log import TrainLog
 from unips_jax.train_state import TrainState, init_state
 from unips_jax.train_step import Batch, train_step
-from unips_jax.validation import validate
+from unips_jax.validation import validate, validation_pictures
 from unips_jax.weights import load_weights, save_weights
 
 
@@ -123,8 +124,10 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
     place = functools.partial(
         jax.tree.map, lambda new, old: jax.device_put(new, old.sharding)
     )
-    ema = None if state.ema_params is None else place(params, state.ema_params)
-    return state._replace(params=place(params, state.params), ema_params=ema)
+    placed = place(params, state.params)
+    # A copy: the step gives both buffers away, which must not be the same.
+    ema = None if state.ema_params is None else jax.tree.map(jnp.copy, placed)
+    return state._replace(params=placed, ema_params=ema)
 
 
 def _batches(
@@ -228,6 +231,8 @@ def _validate_and_keep_best(
     )
     step = int(state.step)
     log.metrics(step, {f"validation/{name}": v for name, v in scores.items()})
+    if log.shows_pictures:
+        log.pictures(step, validation_pictures(params, config))
     best = record["best_mae_deg"]
     if best is not None and best <= scores["mae"]:
         return record

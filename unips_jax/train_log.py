@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 
 class TrainLog:
@@ -24,7 +25,7 @@ class TrainLog:
         self._active = jax.process_index() == 0
         self._path = workdir / "metrics.jsonl"
         self._first, self._steps, self._start = first, steps, time.monotonic()
-        self._tensorboard = _tensorboard(workdir) if self._active else None
+        self._tensorboard: Any = _tensorboard(workdir) if self._active else None
         if self._active and self._path.exists():
             lines = self._path.read_text().splitlines()
             kept = [x for x in lines if json.loads(x)["step"] <= first]
@@ -44,6 +45,16 @@ class TrainLog:
         minutes = per_step * (self._steps - step) / 60
         shown = " ".join(f"{name} {value:.3g}" for name, value in numbers.items())
         self.line(f"step {step}/{self._steps} ({minutes:.0f} min left) {shown}")
+
+    @property
+    def shows_pictures(self) -> bool:
+        """Whether pictures go anywhere: to TensorBoard, if installed."""
+        return self._tensorboard is not None
+
+    def pictures(self, step: int, named: Mapping[str, np.ndarray]) -> None:
+        """Records pictures, `[H, W, 3]` uint8, in TensorBoard."""
+        for name, picture in named.items():
+            self._tensorboard.add_image(name, picture, step, dataformats="HWC")
 
     def line(self, text: str) -> None:
         """Prints a line."""

@@ -7,7 +7,7 @@ viewer is scored beside the network: a result near it means that something is br
 import argparse
 import functools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -15,9 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from unips_jax.command import command, keep_compiled, track
-from unips_jax.config import ModelConfig
+from unips_jax.config import Config, ModelConfig
 from unips_jax.estimation import estimate_normals
-from unips_jax.metrics import mean_angular_error_deg
+from unips_jax.evaluation.pictures import (
+    error_picture,
+    normals_picture,
+    photograph_picture,
+)
+from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
 from unips_jax.scenes import (
     LIGHT_KINDS,
     MATERIALS,
@@ -35,6 +40,36 @@ _HELD_OUT_SEED = 0x7E57
 def held_out_key(index: int) -> jax.Array:
     """The key of held-out scene number `index`."""
     return jax.random.fold_in(jax.random.key(_HELD_OUT_SEED), index)
+
+
+def estimate_held_out(
+    params: Any,
+    model: ModelConfig,
+    scenes: SceneConfig,
+    *,
+    count: int,
+    num_images: int,
+    size: int,
+    **scene_options: Any,
+) -> Iterator[tuple[Scene, jax.Array]]:
+    """Held-out scenes and their estimated normals; arguments as in `validate`."""
+    render = jax.jit(
+        functools.partial(
+            render_scene,
+            size=size,
+            num_images=num_images,
+            config=scenes,
+            **scene_options,
+        )
+    )
+    for index in range(count):
+        scene = render(held_out_key(index))
+        yield (
+            scene,
+            estimate_normals(
+                params, scene.images, scene.mask, config=model, frame="image"
+            ),
+        )
 
 
 def validate(
@@ -64,21 +99,17 @@ def validate(
         Mean angular errors in degrees: "mae" over all scenes, "constant" for a normal
         towards the viewer, and one per group, such as "light/directional".
     """
-    render = jax.jit(
-        functools.partial(
-            render_scene,
-            size=size,
-            num_images=num_images,
-            config=scenes,
-            **scene_options,
-        )
-    )
     errors: dict[str, list[float]] = {}
-    for index in track(range(count), description):
-        scene = render(held_out_key(index))
-        normals = estimate_normals(
-            params, scene.images, scene.mask, config=model, frame="image"
-        )
+    held_out = estimate_held_out(
+        params,
+        model,
+        scenes,
+        count=count,
+        num_images=num_images,
+        size=size,
+        **scene_options,
+    )
+    for scene, normals in track(held_out, description, total=count):
         error = float(mean_angular_error_deg(normals, scene.normals, scene.mask))
         constant = mean_angular_error_deg(
             jnp.array([0.0, 0.0, 1.0]), scene.normals, scene.mask
@@ -87,6 +118,41 @@ def validate(
         for name in ("mae", *_groups(scene)):
             errors.setdefault(name, []).append(error)
     return {name: float(np.mean(values)) for name, values in sorted(errors.items())}
+
+
+def validation_pictures(
+    params: Any, config: Config, count: int = 4
+) -> dict[str, np.ndarray]:
+    """Rows of an image, the true normals, the estimate and its error map.
+
+    Args:
+        params: the network's parameters.
+        config: of the run.
+        count: how many held-out scenes.
+
+    Returns:
+        A picture `[H, 4 H, 3]`, uint8, for each scene by its name.
+    """
+    held_out = estimate_held_out(
+        params,
+        config.model,
+        config.scenes,
+        count=count,
+        num_images=config.train.validation_images,
+        size=config.data.image_size,
+    )
+    rows = {}
+    for index, (scene, normals) in enumerate(held_out):
+        mask, true = np.asarray(scene.mask), np.asarray(scene.normals)
+        error = np.asarray(angular_error_deg(normals, true))
+        tiles = [
+            photograph_picture(np.asarray(scene.images[0]), mask),
+            normals_picture(true, mask),
+            normals_picture(np.asarray(normals), mask),
+            error_picture(error, mask),
+        ]
+        rows[f"validation/scene{index}"] = np.concatenate(tiles, axis=1)
+    return rows
 
 
 def _groups(scene: Scene) -> list[str]:

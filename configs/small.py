@@ -1,0 +1,56 @@
+"""For one GPU: about half an hour, on scenes made on the device.
+
+    unips train --config configs/small.py --workdir runs/small
+
+17.7 M parameters. Not trained yet: no GPU was at hand.
+"""
+
+from unips_jax.config import (
+    Config,
+    DataConfig,
+    ModelConfig,
+    OptimConfig,
+    TrainConfig,
+)
+
+
+def get_config() -> Config:
+    """The configuration."""
+    return Config(
+        model=ModelConfig(
+            canonical_size=128,
+            patch_channels=(32, 96),
+            embed_dim=96,
+            depths=(2, 2, 6),
+            num_heads=(3, 6, 12),
+            window_size=4,
+            drop_path_rate=0.1,
+            context_dim=128,
+            pool_scales=(1, 2, 3),
+            aggregation_layers=3,
+            hidden_dim=256,
+            aggregation_heads=8,
+            aggregation_mlp_dim=512,
+            pma_mlp_dim=512,
+            predictor_dim=192,
+            dropout_rate=0.0,
+            dtype="bfloat16",
+        ),
+        data=DataConfig(
+            source="scenes",
+            image_size=128,
+            batch_size=32,
+            num_images=(2, 4, 8),
+            num_pixels=1024,
+            max_tokens=2048,
+            grid_loss=False,
+        ),
+        optim=OptimConfig(
+            name="muon",
+            learning_rate=1e-3,
+            schedule="cosine",
+            warmup_steps=500,
+            ema_decay=0.999,
+        ),
+        train=TrainConfig(steps=8000, checkpoint_every=500, validate_every=2000),
+    )
