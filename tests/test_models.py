@@ -157,6 +157,7 @@ def test_dropout_acts_in_training_only():
     config = dataclasses.replace(SMALL, dropout_rate=0.5, drop_path_rate=0.5)
     network, params, arguments = make(config)
 
+    @jax.jit
     def run(key):
         return network.apply(
             {"params": params}, *arguments, None, False, rngs={"dropout": key}
@@ -170,8 +171,8 @@ def test_dropout_acts_in_training_only():
 def test_bfloat16_stays_near():
     network, params, arguments = make(SMALL)
     half = UniPS(dataclasses.replace(SMALL, dtype="bfloat16"))
-    exact = network.apply({"params": params}, *arguments)
-    rounded = half.apply({"params": params}, *arguments)
+    exact = jax.jit(network.apply)({"params": params}, *arguments)
+    rounded = jax.jit(half.apply)({"params": params}, *arguments)
     assert rounded.dtype == jnp.float32
     assert abs(exact - rounded).mean() < 0.05
 

@@ -1,0 +1,148 @@
+"""Training runs: resuming after a kill, devices, processes, folders, refusals."""
+
+import dataclasses
+import json
+import os
+import random
+import signal
+import time
+
+import cv2
+import numpy as np
+import pytest
+from training_runs import CONFIG, DATA, batch, final_params, finish, start
+
+from unips_jax.command import InputError
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Five objects with four photographs each, in PS-Wild's layout."""
+    root = tmp_path_factory.mktemp("ps-wild")
+    for index in range(5):
+        folder = root / f"object{index}.data"
+        folder.mkdir()
+        scene = {k: np.asarray(v[0]) for k, v in batch(1, 4).items()}
+        for i, image in enumerate(scene["images"] * (1 + index)):
+            image = np.clip(image / 20, 0, 1) * 65535
+            cv2.imwrite(str(folder / f"{i:03}.tif"), image.astype(np.uint16))
+        normals = np.round((scene["normals"] + 1) / 2 * 65535).astype(np.uint16)
+        cv2.imwrite(str(folder / "normal.tif"), normals[..., ::-1])
+    return str(root)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory, folders):
+    """A run on folders alone: rendering scenes takes long to compile."""
+    workdir = tmp_path_factory.mktemp("whole")
+    data = dataclasses.replace(DATA, source="folders", root=folders)
+    config = dataclasses.replace(CONFIG, data=data)
+    finish(start(workdir, config))
+    return config, workdir
+
+
+@pytest.mark.parametrize(
+    "source", ["folders", pytest.param("mixture", marks=pytest.mark.slow)]
+)
+def test_killed_and_resumed_is_bit_for_bit_the_same(
+    uninterrupted, folders, tmp_path, source
+):
+    config, whole = uninterrupted
+    workdir = tmp_path / "killed"
+    if source == "mixture":  # with scenes, which take long to compile
+        data = dataclasses.replace(
+            DATA, source="mixture", root=folders, num_images=(2, 3)
+        )
+        config, whole = dataclasses.replace(CONFIG, data=data), tmp_path / "whole"
+        finish(start(whole, config))
+    generator = random.Random(os.urandom(8))
+    kills = 0
+    while kills < 3:
+        process = start(workdir, config)
+        log = workdir / "metrics.jsonl"
+        before = log.read_text() if log.exists() else ""
+        # Kill after a random part of the steps, or of the compilation.
+        target = generator.randrange(1, 4)
+        while process.poll() is None:
+            lines = log.read_text() if log.exists() else ""
+            if lines.count("\n") >= before.count("\n") + target:
+                break
+            time.sleep(0.02)
+        time.sleep(generator.random() * 0.3)
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        kills += 1
+    finish(start(workdir, config))
+    expected, actual = final_params(whole), final_params(workdir)
+    assert set(expected) == set(actual)
+    for name, value in expected.items():
+        np.testing.assert_array_equal(actual[name], value, err_msg=name)
+
+    def losses(workdir):
+        lines = (workdir / "metrics.jsonl").read_text().splitlines()
+        return [json.loads(line) for line in lines]
+
+    assert losses(workdir) == losses(whole)
+
+
+def test_sigterm_saves(uninterrupted, tmp_path):
+    config, _ = uninterrupted
+    long = dataclasses.replace(config.train, steps=100_000, checkpoint_every=99_999)
+    process = start(tmp_path, dataclasses.replace(config, train=long))
+    log = tmp_path / "metrics.jsonl"
+    while process.poll() is None and not (log.exists() and log.read_text()):
+        time.sleep(0.05)
+    process.terminate()
+    assert "stopped by SIGTERM" in finish(process)
+    assert [p.name for p in (tmp_path / "checkpoints").iterdir()] != []
+
+
+@pytest.mark.parametrize("fsdp", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_eight_devices_agree_with_one(uninterrupted, tmp_path, fsdp):
+    config, whole = uninterrupted
+    mesh = dataclasses.replace(config.mesh, fsdp=fsdp)
+    finish(start(tmp_path, dataclasses.replace(config, mesh=mesh), "8"))
+    assert_close(final_params(tmp_path), final_params(whole))
+
+
+def test_two_processes_agree_with_one(uninterrupted, tmp_path):
+    import socket
+
+    config, whole = uninterrupted
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    pair = [start(tmp_path, config, "2", address, str(i)) for i in range(2)]
+    for process in pair:
+        finish(process)
+    assert_close(final_params(tmp_path), final_params(whole))
+
+
+def assert_close(actual, expected):
+    """Devices sum in another order, and Adam amplifies that where gradients vanish."""
+    difference = np.concatenate([(actual[k] - v).ravel() for k, v in expected.items()])
+    size = np.concatenate([v.ravel() for v in expected.values()])
+    assert np.linalg.norm(difference) < 1e-3 * np.linalg.norm(size)
+
+
+def test_starts_from_weights(uninterrupted, tmp_path):
+    from unips_jax.train import train
+
+    config, whole = uninterrupted
+    rate, optim = 1e-3, dataclasses.replace(config.optim, learning_rate=1e-3)
+    steps = dataclasses.replace(config.train, steps=1)
+    config = dataclasses.replace(config, optim=optim, train=steps)
+    train(config, tmp_path, init_weights=str(whole / "last.safetensors"))
+    before, after = final_params(whole), final_params(tmp_path)
+    for name, value in before.items():
+        assert np.max(np.abs(after[name] - value)) <= 1.1 * rate
+    assert any(np.any(after[name] != value) for name, value in before.items())
+
+
+def test_other_configuration_is_refused(uninterrupted):
+    from unips_jax.train import train
+
+    config, workdir = uninterrupted
+    optim = dataclasses.replace(config.optim, learning_rate=1e-3)
+    with pytest.raises(InputError, match="learning_rate"):
+        train(dataclasses.replace(config, optim=optim), workdir)

@@ -1,0 +1,77 @@
+"""Training runs for several test files: a small one, in this process or another."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from small_networks import SMALL
+
+from unips_jax.config import Config, DataConfig, OptimConfig, TrainConfig
+
+DATA = DataConfig(
+    source="scenes", image_size=16, batch_size=8, num_images=(3,), num_pixels=40
+)
+CONFIG = Config(
+    model=dataclasses.replace(SMALL, depths=(1,), num_heads=(2,)),
+    data=DATA,
+    optim=OptimConfig(learning_rate=1e-2, ema_decay=0.9),
+    train=TrainConfig(steps=12, log_every=1, checkpoint_every=2, validate_every=100),
+)
+
+
+def batch(count=8, n=3, size=16):
+    """Spheres under directional light."""
+    generator = np.random.default_rng(0)
+    y, x = np.mgrid[1 : -1 : size * 1j, -1 : 1 : size * 1j]
+    mask = x**2 + y**2 < 0.9
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    normals = np.stack([x, y, z], -1) * mask[..., None]
+    lights = generator.normal(size=(count, n, 3)) + [0, 0, 2]
+    images = np.maximum(np.einsum("hwk,bnk->bnhw", normals, lights), 0)
+    return {
+        "images": jnp.asarray(np.repeat(images[..., None], 3, -1), jnp.float32),
+        "mask": jnp.asarray(np.broadcast_to(mask, (count, size, size))),
+        "normals": jnp.asarray(
+            np.broadcast_to(normals, (count, size, size, 3)), jnp.float32
+        ),
+    }
+
+
+RUN = """
+import sys
+from pathlib import Path
+import jax
+jax.config.update("jax_num_cpu_devices", int(sys.argv[2]))
+from unips_jax import config as c
+from unips_jax.train import train
+config = c.from_json(c.Config, Path(sys.argv[1], "config.json").read_text())
+if len(sys.argv) > 3:
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    jax.distributed.initialize(sys.argv[3], 2, int(sys.argv[4]))
+train(config, Path(sys.argv[1]))
+"""
+
+
+def start(workdir: Path, config: Config, *arguments: str) -> subprocess.Popen:
+    workdir.mkdir(exist_ok=True)
+    text = json.dumps(dataclasses.asdict(config))
+    (workdir / "config.json").write_text(text)
+    command = [sys.executable, "-c", RUN, str(workdir), *(arguments or ("1",))]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ)
+
+
+def finish(process: subprocess.Popen) -> str:
+    _, errors = process.communicate(timeout=600)
+    assert process.returncode == 0, errors
+    return errors
+
+
+def final_params(workdir: Path) -> dict[str, np.ndarray]:
+    from safetensors.numpy import load_file
+
+    return load_file(workdir / "last.safetensors")
