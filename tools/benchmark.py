@@ -25,11 +25,14 @@ import numpy as np
 import unips_jax
 from unips_jax.command import InputError, command, keep_compiled
 from unips_jax.config import Config, DataConfig, ModelConfig
-from unips_jax.estimation import CHUNK_TOKENS, estimate_normals
+from unips_jax.estimation import estimate_normals
 from unips_jax.train import load_config
 from unips_jax.train_state import init_state
 from unips_jax.train_step import train_step
 from unips_jax.weights import OFFICIAL_CONFIG, random_weights
+
+# Rows of the plain products: enough for their full rate.
+_ROWS = 4096
 
 
 def decoder_operations(config: ModelConfig) -> float:
@@ -76,22 +79,22 @@ def median_seconds(run: Callable[[], Any], repeats: int) -> float:
 def matrix_rate(config: ModelConfig, seconds: float = 2.0) -> float:
     """Operations per second of plain products of the decoder's sizes."""
     d, m = config.hidden_dim, config.aggregation_mlp_dim
-    x, w1, w2, w3 = (
+    x, query, key, value, up, down = (
         jnp.ones(shape, jnp.float32)
-        for shape in ((CHUNK_TOKENS, d), (d, d), (d, m), (m, d))
+        for shape in ((_ROWS, d), (d, d), (d, d), (d, d), (d, m), (m, d))
     )
 
     @jax.jit
-    def products(x: jax.Array) -> jax.Array:
+    def products(x: jax.Array, query, key, value, up, down) -> jax.Array:
         for _ in range(4):  # one layer: query, key, value and the MLP's two
-            x = ((x @ w1 + x @ w1 + x @ w1) @ w2) @ w3 * 1e-9
+            x = (((x @ query) @ key) @ value) @ up @ down * 1e-9
         return x
 
-    operations = 4 * 2 * CHUNK_TOKENS * (3 * d * d + 2 * d * m)
-    jax.block_until_ready(products(x))
+    operations = 4 * 2 * _ROWS * (3 * d * d + 2 * d * m)
+    jax.block_until_ready(products(x, query, key, value, up, down))
     count, start = 0, time.perf_counter()
     while time.perf_counter() - start < seconds:
-        jax.block_until_ready(products(x))
+        jax.block_until_ready(products(x, query, key, value, up, down))
         count += 1
     return count * operations / (time.perf_counter() - start)
 

@@ -23,7 +23,7 @@ FrameKind = Literal["mask", "image"]
 
 # Members of sets decoded at once: enough to keep the matrix products busy, few enough
 # to stay in cache.
-CHUNK_TOKENS = 4096
+CHUNK_TOKENS = 1024
 # Images that pass the backbone together.
 CHUNK_IMAGES = 2
 
@@ -190,7 +190,7 @@ def decode(
     *,
     config: ModelConfig,
 ) -> Array:
-    """Normals of pixels: a vmap over their sets.
+    """Normals of pixels, from their sets.
 
     Args:
         params: the network's parameters.
@@ -210,7 +210,7 @@ def decode(
     rows = (places[0] - frame.top + offset) * scale - 0.5
     columns = (places[1] - frame.left + offset) * scale - 0.5
     sampled = network.sample(contexts, rows, columns)
-    return jax.vmap(lambda p, c: network.decoder(p, c, valid))(pixels, sampled)
+    return network.decoder(pixels, sampled, valid)
 
 
 def estimate_normals(
