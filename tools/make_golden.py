@@ -135,7 +135,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     folder = parser.parse_args(argv).output
     folder.mkdir(parents=True, exist_ok=True)
     for name, config in CONFIGS.items():
-        np.savez_compressed(folder / f"{name}.npz", **golden_arrays(config))
+        arrays = golden_arrays(config)
+        np.savez_compressed(folder / f"{name}.npz", **arrays)  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":
