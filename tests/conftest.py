@@ -13,6 +13,11 @@ os.environ.setdefault(
 )
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begins with training runs: they last longest and wait for their own processes."""
+    items.sort(key=lambda item: not item.path.name.startswith("test_train_"))
+
+
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:
     """Large reference data kept beside the repository, or where UNIPS_SHARED says."""

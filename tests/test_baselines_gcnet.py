@@ -262,7 +262,7 @@ def test_order_of_images_does_not_matter(params, network):
         np.testing.assert_allclose(a[order], b, rtol=1e-5, atol=1e-5)
     make = {"gcnet": gcnet.gcnet, "lcnet": gcnet.lcnet}[network]
     method = make(params[network], normals=gcnet.ps_fcn(params["ps_fcn"]))
-    first, second = method(images, mask), method(images[order], mask)
+    first, second = method(images, mask).normals, method(images[order], mask).normals
     np.testing.assert_allclose(first, second, atol=2e-5)
     np.testing.assert_allclose(np.linalg.norm(first[mask], axis=-1), 1, atol=1e-5)
     assert (first[~mask] == 0).all()
@@ -307,12 +307,31 @@ def test_intensities_refer_to_the_given_images(params):
     )
 
 
+def test_errors_of_lights():
+    directions = np.eye(3, dtype=np.float32)[[2, 2]]
+    true = Lights(directions, np.array([[1.0, 1, 1], [2, 2, 2]]))
+    tilted = np.array([[0, np.sin(0.2), np.cos(0.2)], [0, 0, 1]])
+    found = gcnet_lights.light_errors(Lights(tilted, 7 * true.intensities), true)
+    degrees, relative = found.values()
+    np.testing.assert_allclose(degrees, np.rad2deg(0.2) / 2)
+    np.testing.assert_allclose(relative, 0, atol=1e-7)
+    # Fitting (1, 1) to (1, 2) gives 1.5 and errors of a half and a quarter.
+    _, relative = gcnet_lights.light_errors(
+        Lights(tilted, np.ones((2, 3))), true
+    ).values()
+    np.testing.assert_allclose(relative, 0.375)
+
+
 def test_lights_feed_any_calibrated_method(params):
     images, mask, _ = sphere()
     found = gcnet.estimate_lights(params["gcnet"], images, mask)
     expected = calibrated.woodham()(images, mask, lights=found)
     method = gcnet.gcnet(params["gcnet"], normals=calibrated.woodham())
-    np.testing.assert_allclose(method(images, mask), expected, atol=1e-6)
+    np.testing.assert_allclose(method(images, mask).normals, expected, atol=1e-6)
+    measured = method(images, mask, lights=found).measures
+    assert measured == {
+        "light direction error (degrees)": pytest.approx(0, abs=0.05)
+    } | {"light intensity error (relative)": pytest.approx(0, abs=1e-6)}
 
 
 def test_small_networks_of_the_same_design_work():

@@ -12,7 +12,7 @@ from scipy.io import loadmat
 
 from unips_jax import eval as evaluation
 from unips_jax import streaming
-from unips_jax.baselines.method import Unsupported
+from unips_jax.baselines.method import Estimated, Unsupported
 from unips_jax.command import InputError
 from unips_jax.config import ModelConfig
 from unips_jax.evaluation import methods, protocols, runner, summary
@@ -172,7 +172,8 @@ def test_score_counts_only_the_mask():
 def test_options_are_read_and_reach_the_method():
     request = "least-squares:colour=mean,keep=(0.2,0.8)"
     variant, constant = load_variants([request], NO_WEIGHTS)
-    assert variant.label == request and constant.label == "constant"
+    assert variant.label == "least-squares:colour=mean,keep=(0.2, 0.8)"
+    assert constant.label == "constant"
     assert variant.key["options"] == {"colour": "mean", "keep": (0.2, 0.8)}
 
 
@@ -196,6 +197,16 @@ def test_bad_requests(request_, message):
 @pytest.mark.parametrize("name", ["classical", "variational", "mpm"])
 def test_baselines_are_where_the_registry_says(name):
     assert load_variants([name], NO_WEIGHTS)[-1].label == "constant"
+
+
+def test_what_a_row_must_tell_is_in_its_label(tmp_path):
+    weights = tmp_path / "mine.safetensors"
+    weights.touch()
+    request = f"gcnet:weights={weights},normals=woodham,per=stack"
+    oracle, gcnet, _ = load_variants(["mpm:sign=oracle", request], NO_WEIGHTS)
+    assert gcnet.label == "gcnet:weights=mine,normals=woodham,per=stack,norm=range01"
+    assert oracle.label == "mpm\N{DAGGER}" and oracle.oracle
+    assert "chosen by the truth" in oracle.about
 
 
 def small_weights(path, seed=0):
@@ -296,7 +307,7 @@ def results_of(plan, store):
     return summary.Results(
         plan.benchmark.name,
         plan.protocol.label,
-        [variant.label for variant in plan.variants],
+        {variant.label: variant.about for variant in plan.variants},
         plan.counts,
         runner.collect(tasks, store),
     )
@@ -341,7 +352,7 @@ def test_a_method_that_cannot_run_gets_a_row_that_says_so(ps_wild, tmp_path):
     assert [row[3] for row in objects.rows[:-1]].count("unsupported") == 4
     assert tables["summary"].rows[0][-1] == "2 of 6"
     remarks = [row for row in tables["remarks"].rows if row[1] == "lit"]
-    assert len(remarks) == 4 and remarks[0][2] == "needs lights"
+    assert remarks == [["4 objects", "lit", "needs lights"]]
 
 
 def test_a_crash_leaves_finished_results_and_nothing_else(ps_wild, tmp_path):
@@ -352,6 +363,33 @@ def test_a_crash_leaves_finished_results_and_nothing_else(ps_wild, tmp_path):
     assert sorted(names) == [".json"] * 3 + [".png"] * 3
     results_of(plan_of(ps_wild, flat), store)
     assert flat.calls == 7
+
+
+def test_an_oracle_chooses_signs_by_the_truth(ps_wild, tmp_path):
+    def mirrored(images, mask, *, lights=None, focal=None):
+        normals = data.sphere(24, 24, radius=24 * 0.3)[1]
+        return Estimated(normals * np.array([-1, 1, 1]), {"mirrors": 1.0})
+
+    plain = Variant("plain", {"method": "mirrored"}, mirrored)
+    oracle = Variant(
+        "oracle", {"method": "mirrored", "oracle": True}, mirrored, "", True
+    )
+    plan = plan_of(ps_wild, Recorder("flat"))._replace(variants=[plain, oracle])
+    results = results_of(plan, Store(tmp_path))
+    # The second object of each lighting is another one.
+    assert all(r.score.mae > 20 for r in results.of("plain", None)[::2])
+    assert all(r.score.mae < 1 for r in results.of("oracle", None)[::2])
+    tables = {table.name: table for table in summary.tables(results)}
+    assert list(tables["measures"].rows[0])[:2] == ["plain", "mirrors"]
+    assert tables["measures"].rows[0][-1] == 1
+
+
+def test_an_oracle_needs_the_truth():
+    mask, normals = data.sphere(24, 24)
+    case = protocols.Case(np.ones((1, 24, 24, 3)), mask, None, None, None)
+    oracle = Variant("oracle", {}, lambda *_, **__: normals, "", True)
+    with pytest.raises(Unsupported, match="needs the true normals"):
+        runner.estimate(oracle, case)
 
 
 def test_a_map_of_another_shape_is_a_bug(ps_wild, tmp_path):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import jax.numpy as jnp
 import numpy as np
 from small_networks import SMALL
@@ -20,7 +21,10 @@ CONFIG = Config(
     model=dataclasses.replace(SMALL, depths=(1,), num_heads=(2,)),
     data=DATA,
     optim=OptimConfig(learning_rate=1e-2, ema_decay=0.9),
-    train=TrainConfig(steps=12, log_every=1, checkpoint_every=2, validate_every=100),
+    train=TrainConfig(
+        # Validating would compile the scenes' renderer.
+        **dict(steps=12, log_every=1, checkpoint_every=2, validation_scenes=0)
+    ),
 )
 
 
@@ -69,6 +73,20 @@ def finish(process: subprocess.Popen) -> str:
     _, errors = process.communicate(timeout=600)
     assert process.returncode == 0, errors
     return errors
+
+
+def write_objects(root: Path) -> str:
+    """Five objects with four photographs each, in PS-Wild's layout."""
+    for index in range(5):
+        folder = root / f"object{index}.data"
+        folder.mkdir()
+        scene = {k: np.asarray(v[0]) for k, v in batch(1, 4).items()}
+        for i, image in enumerate(scene["images"] * (1 + index)):
+            image = np.clip(image / 20, 0, 1) * 65535
+            cv2.imwrite(str(folder / f"{i:03}.tif"), image.astype(np.uint16))
+        normals = np.round((scene["normals"] + 1) / 2 * 65535).astype(np.uint16)
+        cv2.imwrite(str(folder / "normal.tif"), normals[..., ::-1])
+    return str(root)
 
 
 def final_params(workdir: Path) -> dict[str, np.ndarray]:

@@ -62,7 +62,7 @@ def _evaluate(plan: runner.Plan, store: Store, *, pictures: bool) -> None:
     results = summary.Results(
         plan.benchmark.name,
         plan.protocol.label,
-        [variant.label for variant in plan.variants],
+        {variant.label: variant.about for variant in plan.variants},
         plan.counts,
         runner.collect(tasks, store),
     )

@@ -27,10 +27,10 @@ from jax import Array
 
 from unips_jax.baselines import gcnet_model as model
 from unips_jax.baselines.calibrated import check_lights
-from unips_jax.baselines.gcnet_lights import hard_lights, soft_lights
+from unips_jax.baselines.gcnet_lights import hard_lights, light_errors, soft_lights
 from unips_jax.baselines.gcnet_model import Params
 from unips_jax.baselines.gcnet_weights import Network, load_params
-from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.method import Estimated, Lights, Method, Unsupported
 from unips_jax.baselines.pixels import object_pixels
 
 Norm = Literal["range01", "literal10", "none"]
@@ -62,7 +62,7 @@ def gcnet(
             authors' evaluations; None to use the images as they come.
 
     Returns:
-        The method; it needs no lights and ignores them if given.
+        The method; it needs no lights, and measures those it finds by them if given.
     """
     return _uncalibrated("gcnet", weights, normals, norm, per, margin)
 
@@ -213,8 +213,7 @@ def _uncalibrated(
         *,
         lights: Lights | None = None,
         focal: float | None = None,
-    ) -> np.ndarray:
-        del lights
+    ) -> Estimated:
         params = loaded()
         if normals is None:
             raise Unsupported(
@@ -224,7 +223,10 @@ def _uncalibrated(
         _, mask = object_pixels(images, mask, name=name, minimum=_MIN_IMAGES)
         options: dict[str, Any] = {"norm": norm, "per": per, "margin": margin}
         found = estimate_lights(params, images, mask, **options)
-        return normals(images, mask, lights=found, focal=focal)
+        estimate = normals(images, mask, lights=found, focal=focal)
+        if isinstance(estimate, Estimated):
+            estimate = estimate.normals
+        return Estimated(estimate, light_errors(found, lights) if lights else {})
 
     return method
 

@@ -1,5 +1,6 @@
 """The one signature every method has, UniPS included."""
 
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -19,6 +20,18 @@ class Lights(NamedTuple):
     intensities: np.ndarray
 
 
+class Estimated(NamedTuple):
+    """Normals, and what a method says of how they came about.
+
+    Attributes:
+        normals: as in `Method`.
+        measures: figures by name, unit included, such as the share of failed patches.
+    """
+
+    normals: np.ndarray
+    measures: Mapping[str, float]
+
+
 class Unsupported(InputError):
     """The method cannot work on this input; one line says what it lacks."""
 
@@ -33,19 +46,20 @@ class Method(Protocol):
         *,
         lights: Lights | None = None,
         focal: float | None = None,
-    ) -> np.ndarray:
+    ) -> np.ndarray | Estimated:
         """Runs the method.
 
         Args:
             images: `[N, H, W, 3]`, linear RGB of any scale, float32.
             mask: `[H, W]`, bool, True on the object.
-            lights: known lights; methods that need none ignore them.
+            lights: known lights; methods that need none ignore them, or measure their
+                own estimate by them.
             focal: focal length in pixels of these images, principal point at their
                 centre; None where unknown or orthographic.
 
         Returns:
             Normals `[H, W, 3]`, float32: unit length inside the mask (x right, y up, z
-            to the viewer), zero outside.
+            to the viewer), zero outside; with figures where the method has some.
 
         Raises:
             Unsupported: if the input lacks something the method needs.

@@ -6,9 +6,10 @@ the world. Our reconstruction from the published idea; the authors' code was nev
 public, and identity with it cannot be claimed.
 
 What of it is faithful to the publication: `merge="angles"`, `frame="integrability"`,
-`albedo="none"`, `sign="oracle"` (the sign was settled by hand, in the method's favour:
-a row to mark). The defaults are our sturdier choices. Orthographic camera; convex
-objects of uniform or piecewise constant albedo.
+`albedo="none"`. The defaults are our sturdier choices. The publication settled the sign
+by hand; here the rim points outwards (the evaluation's `sign=oracle` takes the best
+signs by the truth and marks the row). Orthographic camera; convex objects of uniform
+or piecewise constant albedo.
 
 Source: Mo, Shi, Lu, Yeung, Matsushita, "Uncalibrated photometric stereo under natural
 illumination" (CVPR 2018), as compared with in UniPS (Ikehata, CVPR 2022).
@@ -19,11 +20,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.method import Estimated, Lights, Method, Unsupported
 from unips_jax.baselines.mpm_frame import (
     frame_by_integrability,
     frame_by_silhouette,
-    oracle_sign,
 )
 from unips_jax.baselines.mpm_merge import merge_angles, merge_sync
 from unips_jax.baselines.mpm_patches import (
@@ -60,9 +60,7 @@ def estimate_mpm(
     *,
     merge: Literal["sync", "angles"] = "sync",
     frame: Literal["silhouette", "integrability"] = "silhouette",
-    sign: Literal["convex", "oracle"] = "convex",
     albedo: Literal["profile", "none"] = "profile",
-    truth: np.ndarray | None = None,
     radius: int | None = None,
 ) -> Estimate:
     """Runs the method.
@@ -73,18 +71,15 @@ def estimate_mpm(
         merge: "sync" reconciles the patches' frames, "angles" follows shortest paths.
         frame: "silhouette" falls back to "integrability" where the mask touches the
             images' border.
-        sign: "convex" makes the rim point outwards; "oracle" takes the best of all
-            signs by the truth, to be marked in any table.
         albedo: "profile" divides an estimate of piecewise constant albedo out.
-        truth: `[H, W, 3]`, true normals, for the oracle only.
         radius: half-width of a patch in pixels; None: 0.11 of the images' side.
 
     Raises:
         Unsupported: if there are fewer than six images, the mask is empty or too
             small, or no patch can be solved.
-        ValueError: if an option is none of the above or the oracle lacks the truth.
+        ValueError: if an option is none of the above.
     """
-    _check_options(merge, frame, sign, albedo, truth)
+    _check_options(merge, frame, albedo)
     pixels, mask = object_pixels(images, mask, name="mpm", minimum=MIN_IMAGES)
     grey, lit = _grey(pixels, mask)
     if lit.sum() < MIN_PIXELS:
@@ -110,10 +105,7 @@ def estimate_mpm(
         field = frame_by_silhouette(field, mask, name="mpm")
     else:
         field = frame_by_integrability(field, mask)
-    if truth is not None and sign == "oracle":
-        field = oracle_sign(field, mask, truth)
-    else:
-        field = _make_convex(field, mask)
+    field = _make_convex(field, mask)
     return Estimate(normal_map(field[mask], mask), dropped, frame)
 
 
@@ -121,28 +113,25 @@ def mpm(
     *,
     merge: Literal["sync", "angles"] = "sync",
     frame: Literal["silhouette", "integrability"] = "silhouette",
-    sign: Literal["convex", "oracle"] = "convex",
     albedo: Literal["profile", "none"] = "profile",
-    truth: np.ndarray | None = None,
     radius: int | None = None,
 ) -> Method:
-    """Makes the MPM-style method; `estimate_mpm` also returns its reliability.
+    """Makes the MPM-style method.
 
     Args:
         merge: as in `estimate_mpm`, which lists all options.
         frame: likewise.
-        sign: likewise.
         albedo: likewise.
-        truth: `[H, W, 3]`, for `sign="oracle"`: then the method is one object's own.
-        radius: as in `estimate_mpm`.
+        radius: likewise.
 
     Returns:
-        The method; it ignores lights and focal length.
+        The method; it ignores lights and focal length, and says how many patches it
+        dropped.
 
     Raises:
-        ValueError: if an option is unknown or the oracle lacks the truth.
+        ValueError: if an option is unknown.
     """
-    _check_options(merge, frame, sign, albedo, truth)
+    _check_options(merge, frame, albedo)
 
     def method(
         images: np.ndarray,
@@ -150,35 +139,26 @@ def mpm(
         *,
         lights: Lights | None = None,
         focal: float | None = None,
-    ) -> np.ndarray:
+    ) -> Estimated:
         del lights, focal
-        return estimate_mpm(
-            images,
-            mask,
-            merge=merge,
-            frame=frame,
-            sign=sign,
-            albedo=albedo,
-            truth=truth,
-            radius=radius,
-        ).normals
+        found = estimate_mpm(
+            images, mask, merge=merge, frame=frame, albedo=albedo, radius=radius
+        )
+        return Estimated(
+            found.normals, {"dropped patches (%)": 100 * found.reliability}
+        )
 
     return method
 
 
-def _check_options(
-    merge: str, frame: str, sign: str, albedo: str, truth: np.ndarray | None
-) -> None:
+def _check_options(merge: str, frame: str, albedo: str) -> None:
     for name, value, choices in (
         ("merge", merge, ("sync", "angles")),
         ("frame", frame, ("silhouette", "integrability")),
-        ("sign", sign, ("convex", "oracle")),
         ("albedo", albedo, ("profile", "none")),
     ):
         if value not in choices:
             raise ValueError(f"{name}: expected one of {choices}, got {value!r}")
-    if sign == "oracle" and truth is None:
-        raise ValueError("sign='oracle' needs the true normals: pass truth")
 
 
 def _grey(pixels: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

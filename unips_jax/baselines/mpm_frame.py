@@ -15,7 +15,6 @@ from jax import Array, lax
 from scipy import ndimage
 
 from unips_jax.baselines.surface import derivatives, silhouette, smooth
-from unips_jax.metrics import mean_angular_error_deg
 
 _SAMPLES = 4096
 _STEPS = 25
@@ -154,19 +153,3 @@ def _refine(starts: Array, rows: Array, field: Array) -> tuple[Array, Array]:
         return frame, value
 
     return jax.lax.map(run, starts, batch_size=8)
-
-
-def oracle_sign(field: np.ndarray, mask: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Takes the signs of x, y and z that come closest to the truth.
-
-    Args:
-        field: `[H, W, 3]`, unit normals.
-        mask: `[H, W]`, bool.
-        truth: `[H, W, 3]`, the true normals.
-
-    Returns:
-        The field with these signs.
-    """
-    turned = [field * np.array(s) for s in itertools.product((1.0, -1.0), repeat=3)]
-    errors = [float(mean_angular_error_deg(each, truth, mask)) for each in turned]
-    return turned[int(np.argmin(errors))]

@@ -2,14 +2,17 @@
 
 A method is asked for as `name` or `name:option=value,option=value`, such as
 `least-squares:keep=(0.2,0.8)`. GCNet takes PS-FCN's weights, or the name of a
-calibrated baseline, for the normals: `gcnet:weights=GCNET,normals=PS_FCN`. Modules are
-imported when a method of theirs is asked for.
+calibrated baseline, for the normals: `gcnet:weights=GCNET,normals=PS_FCN`. Of any
+method `sign=oracle` takes the signs of x, y and z that the truth likes best, as
+publications do where convex and concave cannot be told apart; a dagger marks its
+results. Modules are imported when a method of theirs is asked for.
 """
 
 import ast
 import dataclasses
 import hashlib
 import importlib
+import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -27,12 +30,14 @@ class Baseline(NamedTuple):
     """Where a baseline is.
 
     Attributes:
+        about: what it is, one line for the reader of a report.
         module: in `unips_jax.baselines`.
         factory: in that module; its keyword arguments are the method's options.
         fixed: options that the name stands for.
         weights: whether it cannot run without the option `weights`.
     """
 
+    about: str
     module: str
     factory: str
     fixed: Mapping[str, Any] = MappingProxyType({})
@@ -40,23 +45,76 @@ class Baseline(NamedTuple):
 
 
 BASELINES: dict[str, Baseline] = {
-    "gcnet": Baseline("gcnet", "gcnet", weights=True),
-    "lcnet": Baseline("gcnet", "lcnet", weights=True),
-    "ps-fcn": Baseline("gcnet", "ps_fcn", weights=True),
-    "mpm": Baseline("mpm", "mpm"),
-    "variational": Baseline("variational", "variational"),
-    "woodham": Baseline("calibrated", "woodham_diligent"),
-    "least-squares": Baseline("calibrated", "woodham"),
-    "l1": Baseline("calibrated", "robust_l1"),
-    "sbl": Baseline("calibrated", "sparse_bayesian"),
-    "rpca": Baseline("calibrated", "low_rank"),
-    "diffuse-maxima": Baseline(
-        "uncalibrated", "factorisation", {"resolve": "diffuse_maxima"}
+    "gcnet": Baseline(
+        "GCNet (Chen et al., ECCV 2020), re-implemented, with the weights given: "
+        "lights estimated, then normals by a calibrated method",
+        *("gcnet", "gcnet"),
+        weights=True,
     ),
-    "entropy": Baseline("uncalibrated", "factorisation", {"resolve": "entropy"}),
-    "sh1": Baseline("spherical_harmonics", "first_order_harmonics"),
-    "hemisphere": Baseline("balloon", "hemisphere"),
-    "constant": Baseline("constant", "constant"),
+    "lcnet": Baseline(
+        "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
+        "given: lights estimated, then normals by a calibrated method",
+        *("gcnet", "lcnet"),
+        weights=True,
+    ),
+    "ps-fcn": Baseline(
+        "PS-FCN (Chen et al., ECCV 2018), re-implemented, with the weights given; "
+        "calibrated",
+        *("gcnet", "ps_fcn"),
+        weights=True,
+    ),
+    "mpm": Baseline(
+        "MPM-style: our reconstruction from the idea of Mo et al. (CVPR 2018); the "
+        "authors' code is not public. Uncalibrated, orthographic, convex objects",
+        *("mpm", "mpm"),
+    ),
+    "variational": Baseline(
+        "Variational (Haefner et al., ICCV 2019), re-implemented. Uncalibrated; "
+        "Lambertian, starts from a balloon",
+        *("variational", "variational"),
+    ),
+    "woodham": Baseline(
+        "Least squares, calibrated, with the recipe of the DiLiGenT table",
+        *("calibrated", "woodham_diligent"),
+    ),
+    "least-squares": Baseline(
+        "Least squares (Woodham, 1980), calibrated", *("calibrated", "woodham")
+    ),
+    "l1": Baseline(
+        "Least absolute residuals by reweighting, calibrated",
+        *("calibrated", "robust_l1"),
+    ),
+    "sbl": Baseline(
+        "Sparse Bayesian learning (Ikehata et al., CVPR 2012), calibrated",
+        *("calibrated", "sparse_bayesian"),
+    ),
+    "rpca": Baseline(
+        "Low rank and sparse outliers (Wu et al., ACCV 2010), calibrated",
+        *("calibrated", "low_rank"),
+    ),
+    "diffuse-maxima": Baseline(
+        "Factorisation; bas-relief ambiguity resolved by diffuse maxima. Uncalibrated, "
+        "directional light",
+        *("uncalibrated", "factorisation"),
+        {"resolve": "diffuse_maxima"},
+    ),
+    "entropy": Baseline(
+        "Factorisation; bas-relief ambiguity resolved by the albedo's entropy. "
+        "Uncalibrated, directional light",
+        *("uncalibrated", "factorisation"),
+        {"resolve": "entropy"},
+    ),
+    "sh1": Baseline(
+        "First-order spherical harmonics. Uncalibrated, natural light",
+        *("spherical_harmonics", "first_order_harmonics"),
+    ),
+    "hemisphere": Baseline(
+        "Floor: a balloon over the mask, images not looked at",
+        *("balloon", "hemisphere"),
+    ),
+    "constant": Baseline(
+        "Floor: every normal towards the viewer", *("constant", "constant")
+    ),
 }
 
 CLASSICAL = (
@@ -77,11 +135,15 @@ class Variant(NamedTuple):
         label: its name in tables, unique in a run.
         key: what its results depend on, as JSON values.
         run: the method.
+        about: what it is, one line.
+        oracle: whether the truth chooses the signs of its normals.
     """
 
     label: str
     key: dict[str, Any]
     run: Method
+    about: str = ""
+    oracle: bool = False
 
 
 class UnipsOptions(NamedTuple):
@@ -157,6 +219,9 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
             f"method {request!r}: expected a file of weights, {name}:weights=FILE, got "
             f"{weights!r}"
         )
+    oracle = options.get("sign") == "oracle"
+    if oracle:
+        del options["sign"]
     hashed = {key: _file_hash(value) for key, value in options.items()}
     if "normals" in options:
         options["normals"] = _calibrated(str(options["normals"]))
@@ -169,8 +234,33 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
         method = factory(**{**baseline.fixed, **options})
     except (TypeError, ValueError) as error:
         raise InputError(f"method {request!r}: {error}") from error
-    key = {"method": name, "options": hashed, "method_code": code_hash("baselines")}
-    return Variant(request, key, method)
+    key = {
+        **{"method": name, "options": hashed, "oracle": oracle},
+        "method_code": code_hash("baselines"),
+    }
+    about = baseline.about
+    if oracle:
+        about += ". \N{DAGGER}: signs of x, y and z chosen by the truth"
+    return Variant(_label(name, request, factory), key, method, about, oracle)
+
+
+def _label(name: str, request: str, factory: Callable[..., Method]) -> str:
+    """The request without folders, with the options that every row must tell."""
+    options = _parse_options(request)
+    oracle = options.pop("sign", None) == "oracle"
+    defaults = inspect.signature(factory).parameters
+    for told in ("norm", "per"):
+        if told in defaults:
+            options.setdefault(told, defaults[told].default)
+    words = [
+        f"{key}={Path(value).stem if _is_file(value) else value}"
+        for key, value in options.items()
+    ]
+    return name + "\N{DAGGER}" * oracle + ":" * bool(words) + ",".join(words)
+
+
+def _is_file(value: Any) -> bool:
+    return isinstance(value, str) and Path(value).is_file()
 
 
 def _calibrated(value: str) -> Method:
@@ -182,7 +272,7 @@ def _calibrated(value: str) -> Method:
 
 def _file_hash(value: Any) -> Any:
     """An option's value in result keys: a file stands for its contents."""
-    if isinstance(value, str) and Path(value).is_file():
+    if _is_file(value):
         return hashlib.blake2b(Path(value).read_bytes(), digest_size=16).hexdigest()
     return value
 
@@ -228,6 +318,8 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
                         "method_code": code_hash(*_UNIPS_CODE),
                     },
                     run,
+                    f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "
+                    f"hash {weights}",
                 )
 
 

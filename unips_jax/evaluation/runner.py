@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unips_jax import __version__
-from unips_jax.baselines.method import Unsupported
+from unips_jax.baselines.method import Estimated, Unsupported
 from unips_jax.command import InputError
 from unips_jax.evaluation.benchmarks import Benchmark, Item
 from unips_jax.evaluation.methods import Variant
 from unips_jax.evaluation.protocols import Case, Protocol, choose_images, show
-from unips_jax.evaluation.scores import Score, from_json, score
+from unips_jax.evaluation.scores import Score, best_signs, from_json, score
 from unips_jax.evaluation.store import Store, code_hash, result_key, slug
 
 _POLL_S = 0.2
@@ -82,6 +82,7 @@ class Result:
         count: number of images asked for; None for all.
         images: number of images used.
         score: None where the truth is withheld or the method could not run.
+        measures: the method's own figures, by name.
         unsupported: why the method could not run, empty where it did.
         name: of the result in the store.
     """
@@ -93,6 +94,7 @@ class Result:
     count: int | None
     images: int
     score: Score | None
+    measures: Mapping[str, float]
     unsupported: str
     name: str
 
@@ -224,38 +226,44 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
         "notes": list(item.notes),
         "images": [plan.benchmark.entries[task.index].images[i].name for i in chosen],
         "score": None,
+        "measures": {},
         "unsupported": "",
     }
     try:
-        normals = estimate(task.variant, case)
+        normals, measures = estimate(task.variant, case)
     except Unsupported as error:
         record["unsupported"] = " ".join(str(error).split())
         store.commit(task.name, record, None)
         return
+    record["measures"] = dict(measures)
     if case.normals is not None:
         record["score"] = score(normals, case.normals, case.mask)._asdict()
     store.commit(task.name, record, np.where(case.mask[..., None], normals, 0))
 
 
-def estimate(variant: Variant, case: Case) -> np.ndarray:
+def estimate(variant: Variant, case: Case) -> Estimated:
     """Runs a method on a prepared object.
 
     Returns:
-        `[h, w, 3]`, float32, as the method gives it.
+        Normals `[h, w, 3]`, float32, as the method gives them, and its figures.
 
     Raises:
         Unsupported: if the method lacks something.
         ValueError: if what it gives has another shape.
     """
-    normals = np.asarray(
-        variant.run(case.images, case.mask, lights=case.lights, focal=case.focal)
-    )
+    if variant.oracle and case.normals is None:
+        raise Unsupported("sign=oracle: needs the true normals, which are withheld")
+    found = variant.run(case.images, case.mask, lights=case.lights, focal=case.focal)
+    estimated = found if isinstance(found, Estimated) else Estimated(found, {})
+    normals = np.asarray(estimated.normals, np.float32)
     if normals.shape != (*case.mask.shape, 3):
         raise ValueError(
             f"method {variant.label!r}: expected normals of shape "
             f"{(*case.mask.shape, 3)}, got {normals.shape}"
         )
-    return normals.astype(np.float32)
+    if variant.oracle and case.normals is not None:
+        normals = best_signs(normals, case.normals, case.mask)
+    return estimated._replace(normals=normals)
 
 
 def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
@@ -272,6 +280,7 @@ def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
                 task.count,
                 len(record["images"]),
                 None if record["score"] is None else from_json(record["score"]),
+                record["measures"],
                 record["unsupported"],
                 task.name,
             )

@@ -1,5 +1,6 @@
 """What is measured of an estimate, in numbers that can be summed over objects."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -80,6 +81,23 @@ def score(estimate: np.ndarray, true: np.ndarray, mask: np.ndarray) -> Score:
         zero_truth=int((length == 0).sum()),
         invalid=int((~usable).sum()),
     )
+
+
+def best_signs(estimate: np.ndarray, true: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """The estimate with those signs of x, y and z that come closest to the truth.
+
+    Methods that cannot tell convex from concave are compared so in publications; an
+    oracle, to be marked in any table.
+
+    Args:
+        estimate: `[H, W, 3]`.
+        true: `[H, W, 3]`.
+        mask: `[H, W]`, bool, not empty.
+    """
+    turned = [
+        estimate * np.array(s, np.float32) for s in itertools.product((1, -1), repeat=3)
+    ]
+    return min(turned, key=lambda normals: error_map(normals, true)[mask].mean())
 
 
 def from_json(values: dict[str, Any]) -> Score:

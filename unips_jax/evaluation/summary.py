@@ -1,7 +1,7 @@
 """From results to tables. Nothing here depends on when or where they were computed."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from unips_jax.evaluation.published import (
@@ -40,16 +40,21 @@ class Results:
     Attributes:
         benchmark: its name.
         protocol: its label.
-        labels: of the methods, in order.
+        methods: what each method is, a line, by label, in order.
         counts: numbers of images; None for all.
         results: in the order of the tasks.
     """
 
     benchmark: str
     protocol: str
-    labels: Sequence[str]
+    methods: Mapping[str, str]
     counts: Sequence[int | None]
     results: Sequence[Result]
+
+    @property
+    def labels(self) -> list[str]:
+        """The methods' names, in order."""
+        return list(self.methods)
 
     @property
     def main_count(self) -> int | None:
@@ -87,7 +92,9 @@ def tables(results: Results) -> list[Table]:
         _groups(results, "category", "categories", "material category"),
         _groups(results, "view", "views", "view"),
         _angles(results),
+        _measures(results),
         _published(results),
+        _methods(results),
         _remarks(results),
     ]
     return [table for table in made if table.rows]
@@ -272,6 +279,30 @@ def _angles(results: Results) -> Table:
     )
 
 
+def _measures(results: Results) -> Table:
+    """What the methods say of themselves, such as errors of the lights they found."""
+    lightings = results.lightings
+    rows: list[list[Cell]] = []
+    for label in results.labels:
+        own = results.of(label, results.main_count)
+        for name in dict.fromkeys(name for r in own for name in r.measures):
+            having = [r for r in own if name in r.measures]
+            split = [
+                _average(r.measures[name] for r in _lit(having, lighting))
+                for lighting in lightings
+            ]
+            rows.append(
+                [label, name, *split, _average(r.measures[name] for r in having)]
+            )
+    columns = ["Method", "Measure", *lightings, "Mean"]
+    return Table("measures", "What the methods say of their results", columns, rows)
+
+
+def _methods(results: Results) -> Table:
+    rows = [list(pair) for pair in results.methods.items()]
+    return Table("methods", "What the methods are", ["Method", "What it is"], rows)
+
+
 def _published(results: Results) -> Table:
     known = PUBLISHED.get(results.benchmark, ())
     names = list(dict.fromkeys(name for row in known for name in row.scores))
@@ -295,12 +326,17 @@ def _remarks(results: Results) -> Table:
     rows: list[list[Cell]] = []
     for entry in results.entries:
         rows += [[entry.entry, None, note] for note in entry.notes]
+    refused: dict[tuple[str, str], list[str]] = {}
     for result in results.results:
         if result.count != results.main_count:
             continue
         if result.unsupported:
-            rows.append([result.entry, result.label, result.unsupported])
+            key = result.label, result.unsupported
+            refused.setdefault(key, []).append(result.entry)
         elif result.score and result.score.invalid:
             text = f"{result.score.invalid} pixels without an estimate count as 90"
             rows.append([result.entry, result.label, f"{text} degrees"])
+    for (label, reason), names in refused.items():
+        which = names[0] if len(names) == 1 else f"{len(names)} objects"
+        rows.append([which, label, reason])
     return Table("remarks", "Remarks", ["Object", "Method", "Remark"], rows)

@@ -1,0 +1,45 @@
+"""Training on several devices and in several processes."""
+
+import dataclasses
+import socket
+
+import numpy as np
+import pytest
+from training_runs import CONFIG, DATA, final_params, finish, start, write_objects
+
+
+@pytest.fixture(scope="module")
+def single(tmp_path_factory):
+    """A run on one device, on folders alone: rendering scenes takes long to compile."""
+    root = write_objects(tmp_path_factory.mktemp("ps-wild"))
+    workdir = tmp_path_factory.mktemp("single")
+    data = dataclasses.replace(DATA, source="folders", root=root)
+    config = dataclasses.replace(CONFIG, data=data)
+    finish(start(workdir, config))
+    return config, workdir
+
+
+@pytest.mark.parametrize("fsdp", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_eight_devices_agree_with_one(single, tmp_path, fsdp):
+    config, whole = single
+    mesh = dataclasses.replace(config.mesh, fsdp=fsdp)
+    finish(start(tmp_path, dataclasses.replace(config, mesh=mesh), "8"))
+    assert_close(final_params(tmp_path), final_params(whole))
+
+
+def test_two_processes_agree_with_one(single, tmp_path):
+    config, whole = single
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    pair = [start(tmp_path, config, "2", address, str(i)) for i in range(2)]
+    for process in pair:
+        finish(process)
+    assert_close(final_params(tmp_path), final_params(whole))
+
+
+def assert_close(actual, expected):
+    """Devices sum in another order, and Adam amplifies that where gradients vanish."""
+    difference = np.concatenate([(actual[k] - v).ravel() for k, v in expected.items()])
+    size = np.concatenate([v.ravel() for v in expected.values()])
+    assert np.linalg.norm(difference) < 1e-3 * np.linalg.norm(size)
