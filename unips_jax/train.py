@@ -12,7 +12,7 @@ import json
 import runpy
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from jax.sharding import Mesh
+from orbax.checkpoint import multihost
 
 from unips_jax.checkpoint import Checkpoints
 from unips_jax.command import InputError, command, keep_compiled
@@ -69,10 +70,12 @@ def train(
     init = functools.partial(init_state, config)
     shapes = jax.eval_shape(init, init_key)
     shardings = state_sharding(shapes, mesh)
-    step_jit = jax.jit(
-        functools.partial(train_step, config=config),
-        donate_argnums=0,
-        out_shardings=(shardings, replicated(mesh)),
+    run_step = _compile_together(
+        jax.jit(
+            functools.partial(train_step, config=config),
+            donate_argnums=0,
+            out_shardings=(shardings, replicated(mesh)),
+        )
     )
     with Checkpoints(workdir, config) as checkpoints:
         if checkpoints.latest_step() is None:
@@ -90,7 +93,7 @@ def train(
         pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
         for step in range(first + 1, config.train.steps + 1):
             batch = next(batches)
-            state, metrics = step_jit(state, batch, step_key)
+            state, metrics = run_step(state, batch, step_key)
             if pending is not None:
                 _check_finite(*pending, workdir)
             pending = (step, batch, metrics)
@@ -108,6 +111,25 @@ def train(
     params = to_host(state.released_params())
     _write_weights(workdir / "last.safetensors", config, params, int(state.step), {})
     return state
+
+
+def _compile_together(step: Any) -> Callable[..., tuple[TrainState, Any]]:
+    """The jitted step; no process runs it before all have compiled it.
+
+    Processes do not compile equally fast, and collectives between them give up after
+    half a minute on CPU.
+    """
+    wait = multihost.get_barrier_sync_fn()
+    compiled: dict[str, Any] = {}
+
+    def run(state: TrainState, batch: Batch, key: jax.Array) -> tuple[TrainState, Any]:
+        types = str(jax.tree.map(jax.typeof, batch))
+        if types not in compiled:
+            compiled[types] = step.lower(state, batch, key).compile()
+            wait(key=f"compiled {types}", timeout_ms=3_600_000)
+        return compiled[types](state, batch, key)
+
+    return run
 
 
 def _with_sharding(shape: jax.ShapeDtypeStruct, sharding: Any) -> jax.ShapeDtypeStruct:
