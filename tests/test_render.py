@@ -56,6 +56,12 @@ def test_a_folder_holds_what_was_drawn(tmp_path, scene):
     assert [path.name for path in folder.parent.iterdir()] == ["obj000.data"]
 
 
+def test_focal_lengths_are_told_in_pixels_too(scene):
+    facts = render.describe(scene._replace(focal=np.float32(18)))
+    assert facts["focal_mm"] == 18 and facts["focal"] == 6  # of 12 pixels' width
+    assert "focal" not in render.describe(scene)
+
+
 def test_a_failure_leaves_nothing_behind(tmp_path, scene):
     broken = scene._replace(material=np.int32(99))
     with pytest.raises(IndexError):

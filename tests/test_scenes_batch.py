@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from unips_jax.scenes import SceneConfig, render_batch, render_scene
+from unips_jax.scenes.sensor import record
 
 CONFIG = SceneConfig(rotation_candidates=2, num_directions=8)
 render = functools.partial(render_batch, size=32, num_images=3, config=CONFIG)
@@ -36,6 +37,28 @@ def test_scenes_keep_their_promises(scenes):
     assert np.all(scenes.light_directions[away] == 0)
     length = np.linalg.norm(scenes.light_directions[~away], axis=-1)
     np.testing.assert_allclose(length, 1, atol=1e-5)
+
+
+def test_a_good_camera_scales_each_image_by_what_it_says():
+    clean = SceneConfig(
+        **dict(linear_rate=1, noise_rate=0, blur_rate=0, mask_error_rate=0),
+        eight_bit_rate=0,
+    )
+    rng = np.random.default_rng(0)
+    radiance = rng.uniform(0, 1, (4, 3, 16, 16)) * [
+        [[[1]]],
+        [[[3]]],
+        [[[0.2]]],
+        [[[9]]],
+    ]
+    mask = np.ones((16, 16), bool)
+    images, _, gain = jax.jit(record, static_argnums=3)(
+        jax.random.key(0), jnp.asarray(radiance, jnp.float32), mask, clean
+    )
+    assert gain.shape == (4, 3)
+    expected = np.clip(radiance * np.asarray(gain)[..., None, None], 0, 1)
+    np.testing.assert_allclose(images, expected, atol=2e-3)  # faint noise remains
+    assert 0.1 < (expected < 1).mean()
 
 
 def test_silhouettes_reach_the_frame(scenes):

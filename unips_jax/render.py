@@ -28,6 +28,7 @@ from unips_jax.scenes import (
     render_batch,
 )
 
+_FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
 LIGHTINGS = ("directional", "environment", "mixed")
 _FOLDER_CONFIG = SceneConfig(
     linear_rate=1.0, eight_bit_rate=0.0, blur_rate=0.0, mask_error_rate=0.0
@@ -64,12 +65,15 @@ def describe(scene: Scene) -> dict[str, Any]:
     Args:
         scene: one scene, without a batch axis.
     """
+    focal_mm = float(scene.focal)
     facts: dict[str, Any] = {
         "light": LIGHT_KINDS[int(scene.light_kind)],
         "shape": SHAPE_KINDS[int(scene.shape_kind)],
         "material": MATERIALS[int(scene.material)],
-        "focal_mm": round(float(scene.focal), 3) or None,
+        "focal_mm": round(focal_mm, 3) or None,
     }
+    if focal_mm:  # in pixels, as the evaluation reads it
+        facts["focal"] = focal_mm / _FRAME_MM * scene.mask.shape[-1]
     if facts["light"] == "directional":
         facts["light_directions"] = np.asarray(scene.light_directions).tolist()
         facts["light_intensities"] = np.asarray(scene.light_intensities).tolist()

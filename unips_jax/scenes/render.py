@@ -63,7 +63,7 @@ class Scene(NamedTuple):
         material: index into `MATERIALS`.
         focal: 35 mm equivalent in mm; 0 for orthographic cameras.
         light_directions: `[N, 3]`, unit, of directional scenes, else zero.
-        light_intensities: `[N, 3]` likewise.
+        light_intensities: `[N, 3]` likewise, exposure and white balance included.
     """
 
     images: Array
@@ -269,7 +269,7 @@ def shade(
     )
     radiance = _radiance(geometry, surface, keys, environment, config)
     radiance = radiance.reshape(num_images, 3, *geometry.mask.shape)
-    images, mask = record(key_sensor, radiance, geometry.mask, config)
+    images, mask, gain = record(key_sensor, radiance, geometry.mask, config)
     directional = light == 0
     return Scene(
         images=jnp.moveaxis(images, 1, -1),
@@ -280,7 +280,7 @@ def shade(
         material=matter,
         focal=geometry.focal,
         light_directions=jnp.where(directional, keys.vector, 0.0),
-        light_intensities=jnp.where(directional, keys.color, 0.0),
+        light_intensities=jnp.where(directional, keys.color * gain, 0.0),
     )
 
 

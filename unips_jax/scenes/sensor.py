@@ -9,8 +9,8 @@ from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.noise import pixel_noise
 
 
-def expose(radiance: Array, mask: Array, target: Array) -> Array:
-    """Scales each image to a target brightness.
+def exposure(radiance: Array, mask: Array, target: Array) -> Array:
+    """The factor that brings each image to a target brightness, `[N]`.
 
     The measure lies between the bright end (mean plus two standard deviations) and
     the typical value (from the mean root), so that neither highlights nor shadows
@@ -31,7 +31,7 @@ def expose(radiance: Array, mask: Array, target: Array) -> Array:
     root = mean(jnp.sqrt(jnp.maximum(radiance, 0.0)))
     bright = middle + 2 * jnp.sqrt(jnp.maximum(square - middle * middle, 0.0))
     measure = jnp.sqrt(bright * 2.2 * root * root) + 1e-6
-    return radiance * (target[:, None, None, None] / measure)
+    return target / measure[:, 0, 0, 0]
 
 
 def blur(images: Array, mask: Array, amount: Array) -> Array:
@@ -81,7 +81,7 @@ def _response(x: Array, curve: Array, gamma: Array) -> Array:
 
 def record(
     key: Array, radiance: Array, mask: Array, config: SceneConfig
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """What the camera records.
 
     Args:
@@ -91,15 +91,20 @@ def record(
         config: shares of noise, blur, curves and mask errors.
 
     Returns:
-        Images `[N, 3, H, W]`, at most 1, zero outside the mask, and the mask.
+        Images `[N, 3, H, W]`, at most 1, zero outside the mask; the mask; and the
+        factor of exposure and white balance, `[N, 3]`, before response and clipping.
     """
     key_draws, key_noise, key_mask = jax.random.split(key, 3)
     draws = Draws(key_draws, 32 + radiance.shape[0])
-    target = draws.log_uniform(0.35, 1.4, radiance.shape[0])
+    target = draws.log_uniform(0.3, 0.9, radiance.shape[0])
     if not config.sensor:
-        return expose(radiance, mask, jnp.full_like(target, 0.8)) * mask, mask
+        gain = exposure(radiance, mask, jnp.full_like(target, 0.8))[:, None]
+        gain = jnp.broadcast_to(gain, radiance.shape[:2])
+        return radiance * gain[..., None, None] * mask, mask, gain
     balance = jnp.exp(draws.uniform(-0.2, 0.2, 3)).at[1].set(1.0)
-    images = expose(radiance * balance[:, None, None], mask, target) * mask
+    balanced = radiance * balance[:, None, None]
+    gain = exposure(balanced, mask, target)[:, None] * balance
+    images = radiance * gain[..., None, None] * mask
     amount = jnp.where(draws.chance(config.blur_rate), draws.uniform(0.0, 0.35), 0.0)
     images = blur(images, mask, amount)
     noisy = draws.chance(config.noise_rate)
@@ -118,4 +123,4 @@ def record(
     images = jnp.round(images * levels) / levels
     rate = jnp.where(draws.chance(config.mask_error_rate), draws.uniform(0.2, 1.0), 0)
     mask = erode(mask, jax.random.uniform(key_mask, mask.shape), rate)
-    return images * mask, mask
+    return images * mask, mask, gain
