@@ -111,7 +111,7 @@ def load_params(path: Path | str) -> tuple[dict[str, Any], Network]:
     """Reads what `save_params` wrote.
 
     Returns:
-        The parameters, and which network they are.
+        The parameters, float32, and which network they are.
 
     Raises:
         InputError: if the file is missing, is no safetensors file, or belongs to
@@ -122,7 +122,10 @@ def load_params(path: Path | str) -> tuple[dict[str, Any], Network]:
     try:
         with safe_open(path, framework="numpy") as file:
             network: Any = (file.metadata() or {}).get("network")
-            flat = {tuple(k.split("/")): file.get_tensor(k) for k in file.keys()}
+            flat = {
+                tuple(key.split("/")): file.get_tensor(key).astype(np.float32)
+                for key in file.keys()
+            }
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: cannot read the weights ({error})") from error
     if network not in get_args(Network):

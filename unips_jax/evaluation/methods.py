@@ -35,6 +35,8 @@ class Baseline(NamedTuple):
         factory: in that module; its keyword arguments are the method's options.
         fixed: options that the name stands for.
         weights: whether it cannot run without the option `weights`.
+        shipped: options that stand in where no weights are given; `weights` is then a
+            file in `unips_jax/assets`.
     """
 
     about: str
@@ -42,6 +44,7 @@ class Baseline(NamedTuple):
     factory: str
     fixed: Mapping[str, Any] = MappingProxyType({})
     weights: bool = False
+    shipped: Mapping[str, Any] = MappingProxyType({})
 
 
 BASELINES: dict[str, Baseline] = {
@@ -50,6 +53,7 @@ BASELINES: dict[str, Baseline] = {
         "lights estimated, then normals by a calibrated method",
         *("gcnet", "gcnet"),
         weights=True,
+        shipped={"weights": "gcnet_small.safetensors", "normals": "woodham"},
     ),
     "lcnet": Baseline(
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
@@ -123,6 +127,7 @@ CLASSICAL = (
 )
 """What `classical` stands for on the command line."""
 
+_ASSETS = Path(__file__).parents[1] / "assets"
 _UNIPS_CODE = ("models", "ops.py", "estimation.py", "streaming.py")
 
 NAMES = ("unips", *BASELINES)
@@ -213,6 +218,11 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     if name not in BASELINES:
         raise InputError(f"no method {name!r}; there are {', '.join(NAMES)}, classical")
     baseline = BASELINES[name]
+    about = baseline.about
+    if baseline.shipped and "weights" not in options:
+        options = {**baseline.shipped, **options}
+        options["weights"] = str(_ASSETS / options["weights"])
+        about = about.replace("the weights given", "our own small weights")
     weights = options.get("weights")
     if (baseline.weights or "weights" in options) and not Path(str(weights)).is_file():
         raise InputError(
@@ -223,6 +233,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     if oracle:
         del options["sign"]
     hashed = {key: _file_hash(value) for key, value in options.items()}
+    told = dict(options)
     if "normals" in options:
         options["normals"] = _calibrated(str(options["normals"]))
     try:
@@ -238,16 +249,15 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
         **{"method": name, "options": hashed, "oracle": oracle},
         "method_code": code_hash("baselines"),
     }
-    about = baseline.about
     if oracle:
         about += ". \N{DAGGER}: signs of x, y and z chosen by the truth"
-    return Variant(_label(name, request, factory), key, method, about, oracle)
+    return Variant(_label(name, told, factory, oracle), key, method, about, oracle)
 
 
-def _label(name: str, request: str, factory: Callable[..., Method]) -> str:
-    """The request without folders, with the options that every row must tell."""
-    options = _parse_options(request)
-    oracle = options.pop("sign", None) == "oracle"
+def _label(
+    name: str, options: dict[str, Any], factory: Callable[..., Method], oracle: bool
+) -> str:
+    """The method with its options, without folders; every row must tell some."""
     defaults = inspect.signature(factory).parameters
     for told in ("norm", "per"):
         if told in defaults:
