@@ -29,8 +29,12 @@ SMALL = ModelConfig(
 
 
 def lively_weights(config=SMALL):
+    return lively(random_weights(config))
+
+
+def lively(params):
     """Larger parameters than the initial ones, so that every path matters."""
-    leaves, tree = jax.tree.flatten(random_weights(config))
+    leaves, tree = jax.tree.flatten(params)
     keys = jax.random.split(jax.random.key(3), len(leaves))
     noisy = [
         x + 0.3 * jax.random.normal(k, x.shape)

@@ -7,28 +7,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import small_networks
 from flax.traverse_util import flatten_dict
+from small_networks import lively
 
 from unips_jax.config import ModelConfig, from_json, to_json
 from unips_jax.models.set_attention import PMA
 from unips_jax.models.unips import UniPS
 
-SMALL = ModelConfig(
+SMALL = dataclasses.replace(
+    small_networks.SMALL,
     canonical_size=20,
-    patch_channels=(3, 5),
-    embed_dim=8,
     depths=(1, 2),
-    num_heads=(2, 4),
     window_size=3,
-    communication_heads=4,
-    context_dim=8,
-    pool_scales=(1, 2),
     aggregation_layers=2,
-    hidden_dim=12,
-    aggregation_heads=3,
-    aggregation_mlp_dim=13,
-    pma_mlp_dim=11,
-    predictor_dim=5,
+    drop_path_rate=ModelConfig.drop_path_rate,
+    dropout_rate=ModelConfig.dropout_rate,
 )
 
 
@@ -38,17 +32,6 @@ def inputs(n=3, size=20, pixels=17):
     observed = jax.random.uniform(keys[1], (pixels, n, 3))
     rows, columns = jax.random.uniform(keys[2], (2, pixels)) * 4
     return images, observed, rows, columns
-
-
-def lively(params):
-    """Larger parameters than the initial ones, so that every path matters."""
-    leaves, tree = jax.tree.flatten(params)
-    keys = jax.random.split(jax.random.key(3), len(leaves))
-    noisy = [
-        x + 0.3 * jax.random.normal(k, x.shape)
-        for x, k in zip(leaves, keys, strict=True)
-    ]
-    return jax.tree.unflatten(tree, noisy)
 
 
 def make(config, n=3):

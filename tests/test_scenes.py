@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from unips_jax.metrics import angular_error_deg
-from unips_jax.scenes import SceneConfig, geometry, lights, materials, render, sdf
+from unips_jax.scenes import (
+    SceneConfig,
+    geometry,
+    grids,
+    lights,
+    materials,
+    render,
+    sdf,
+    tracing,
+)
 
 CONFIG = SceneConfig()
 FLAT = {"twist": 0.0, "lathe": 0.0, "mirror": 0.0, "wave_warp": 0.0, "wave_ridge": 0.0}
@@ -63,7 +72,7 @@ def make_shape(
 
 
 def look(shape, *, size=32, perspective=0.0, distance=3.0, half=1.0, config=CONFIG):
-    camera = geometry.Camera(
+    camera = tracing.Camera(
         jnp.float32(perspective), jnp.float32(distance), jnp.asarray([0.0, 0, half])
     )
     return jax.jit(
@@ -115,7 +124,7 @@ def directional(geometry_, surface, direction):
 
 
 def test_the_sphere_is_where_it_should_be(sphere):
-    u, v = (np.asarray(c).reshape(32, 32) for c in geometry.pixel_grid(32))
+    u, v = (np.asarray(c).reshape(32, 32) for c in grids.pixel_grid(32))
     inside = np.hypot(u, v)
     assert np.all(sphere.mask[inside < 0.88])
     assert not np.any(sphere.mask[inside > 0.93])
@@ -170,7 +179,7 @@ def test_perspective_points_project_to_their_pixels():
     )
     mask = np.asarray(found.mask)
     x, y, z = np.asarray(found.positions)[mask].T
-    u, v = (np.asarray(c).reshape(32, 32)[mask] for c in geometry.pixel_grid(32))
+    u, v = (np.asarray(c).reshape(32, 32)[mask] for c in grids.pixel_grid(32))
     depth = 1.6 - z
     np.testing.assert_allclose(x / depth * 1.6 / 1.2, u, atol=1e-4)
     np.testing.assert_allclose(y / depth * 1.6 / 1.2, v, atol=1e-4)
@@ -220,7 +229,7 @@ def test_cast_shadow_of_a_ball_over_a_plane():
     found = look(shape, size=64)
     image = directional(found, matt(found), (1, 0, 1))
     lit = 0.6 / np.pi / np.sqrt(2)
-    u, v = (np.asarray(c).reshape(64, 64) for c in geometry.pixel_grid(64))
+    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
     plane = (np.abs(u) < 0.8) & (np.abs(v) < 0.8) & (np.hypot(u, v) > 0.25)
     # The shadow is an ellipse about x = -0.5, half axes 0.2 sqrt(2) and 0.2.
     ellipse = np.hypot((u + 0.5) / np.sqrt(2), v)
@@ -333,10 +342,10 @@ def test_pick_and_spread_ignore_what_is_not_masked():
     mask = np.zeros((8, 12), bool)
     mask[1, 2] = mask[5:, 4:] = True
     values = jnp.asarray(np.where(mask, 3.0, 1e3), jnp.float32)
-    small = geometry.pick(values, jnp.asarray(mask), 4)
+    small = grids.pick(values, jnp.asarray(mask), 4)
     assert small.shape == (2, 3)
     np.testing.assert_allclose(small[0, 0], 3.0)
-    full = geometry.spread(small, jnp.asarray(mask), 4)
+    full = grids.spread(small, jnp.asarray(mask), 4)
     np.testing.assert_allclose(full[mask], 3.0, rtol=1e-3)
 
 

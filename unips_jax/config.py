@@ -10,24 +10,10 @@ import json
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar
 
+from unips_jax.checks import require, require_choice, require_positive
 from unips_jax.scenes.config import SceneConfig
 
 _T = TypeVar("_T")
-
-
-def _require(condition: bool, message: str) -> None:
-    if not condition:
-        raise ValueError(message)
-
-
-def _require_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    _require(value in choices, f"{name}: expected one of {choices}, got {value!r}")
-
-
-def _require_positive(config: Any, *names: str) -> None:
-    for name in names:
-        value = getattr(config, name)
-        _require(value > 0, f"{name}: expected a positive number, got {value}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,50 +87,50 @@ class ModelConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
-        _require_positive(
+        require_positive(
             self,
             *("canonical_size", "embed_dim", "window_size", "mlp_ratio"),
             *("communication_heads", "communication_mlp_ratio", "context_dim"),
             *("hidden_dim", "aggregation_heads", "aggregation_mlp_dim"),
             *("pma_mlp_dim", "predictor_dim"),
         )
-        _require(
+        require(
             self.canonical_size % 4 == 0,
             f"canonical_size: expected a multiple of 4, got {self.canonical_size}",
         )
-        _require(
+        require(
             len(self.depths) == len(self.num_heads) >= 1,
             f"depths and num_heads: expected one entry per stage in both, got "
             f"{self.depths} and {self.num_heads}",
         )
         for stage, heads in enumerate(self.num_heads):
             dim = self.stage_dim(stage)
-            _require(
+            require(
                 dim % heads == 0,
                 f"num_heads[{stage}]: expected a divisor of the stage's {dim} "
                 f"channels, got {heads}",
             )
-            _require(
+            require(
                 self.communication not in ("pre", "during")
                 or dim % self.communication_heads == 0,
                 f"communication_heads: expected a divisor of stage {stage}'s {dim} "
                 f"channels, got {self.communication_heads}",
             )
-        _require(
+        require(
             self.hidden_dim % self.aggregation_heads == 0,
             f"aggregation_heads: expected a divisor of hidden_dim={self.hidden_dim}, "
             f"got {self.aggregation_heads}",
         )
         for name in ("drop_path_rate", "dropout_rate"):
             rate = getattr(self, name)
-            _require(0 <= rate < 1, f"{name}: expected a rate in [0, 1), got {rate}")
-        _require_choice(
+            require(0 <= rate < 1, f"{name}: expected a rate in [0, 1), got {rate}")
+        require_choice(
             "communication", self.communication, ("none", "during", "pre", "post")
         )
-        _require_choice("attention", self.attention, ("pre_norm", "released"))
-        _require_choice("aggregation", self.aggregation, ("pma", "max"))
-        _require_choice("context_sampling", self.context_sampling, ("center", "corner"))
-        _require_choice("dtype", self.dtype, ("float32", "bfloat16", "float64"))
+        require_choice("attention", self.attention, ("pre_norm", "released"))
+        require_choice("aggregation", self.aggregation, ("pma", "max"))
+        require_choice("context_sampling", self.context_sampling, ("center", "corner"))
+        require_choice("dtype", self.dtype, ("float32", "bfloat16", "float64"))
 
     def stage_dim(self, stage: int) -> int:
         """Channels of Swin's stage number `stage`, counted from 0."""
@@ -192,13 +178,13 @@ class DataConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
-        _require_choice("source", self.source, ("scenes", "folders", "mixture"))
-        _require_positive(self, "image_size", "batch_size", "num_pixels")
-        _require(
+        require_choice("source", self.source, ("scenes", "folders", "mixture"))
+        require_positive(self, "image_size", "batch_size", "num_pixels")
+        require(
             len(self.num_images) > 0 and min(self.num_images) >= 1,
             f"num_images: expected set sizes of at least 1, got {self.num_images}",
         )
-        _require(
+        require(
             0 <= self.scene_share <= 1,
             f"scene_share: expected a share in [0, 1], got {self.scene_share}",
         )
@@ -247,10 +233,10 @@ class OptimConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
-        _require_choice("name", self.name, ("adamw", "muon"))
-        _require_choice("schedule", self.schedule, ("cosine", "step"))
-        _require_positive(self, "learning_rate", "decay_every", "accumulate")
-        _require(
+        require_choice("name", self.name, ("adamw", "muon"))
+        require_choice("schedule", self.schedule, ("cosine", "step"))
+        require_positive(self, "learning_rate", "decay_every", "accumulate")
+        require(
             0 <= self.ema_decay < 1,
             f"ema_decay: expected a decay in [0, 1), got {self.ema_decay}",
         )
@@ -274,8 +260,8 @@ class MeshConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
-        _require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
-        _require_positive(self, "fsdp")
+        require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
+        require_positive(self, "fsdp")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -308,7 +294,7 @@ class TrainConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
-        _require_positive(
+        require_positive(
             self,
             *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
             "validation_images",
@@ -341,7 +327,7 @@ class Config:
         Raises:
             ValueError: naming the fields, what was expected and what came.
         """
-        _require(
+        require(
             self.data.batch_size % self.optim.accumulate == 0,
             f"accumulate: expected a divisor of batch_size={self.data.batch_size}, "
             f"got {self.optim.accumulate}",
@@ -369,7 +355,7 @@ def from_json(cls: type[_T], text: str) -> _T:
 def _from_mapping(cls: type[_T], values: Mapping[str, Any]) -> _T:
     fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     unknown = sorted(set(values) - set(fields))
-    _require(
+    require(
         not unknown,
         f"{cls.__name__}: unknown fields {unknown}; this version knows "
         f"{sorted(fields)}. Was the file written by a newer unips_jax?",

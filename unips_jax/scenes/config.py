@@ -2,17 +2,14 @@
 
 import dataclasses
 
+from unips_jax.checks import require
+
 LIGHT_KINDS = ("directional", "environment", "mixed", "point", "area")
 SHAPE_KINDS = ("blob", "composition", "machine", "lathe", "thin", "relief", "plate")
 MATERIALS = (
     *("fabric", "concrete", "wood", "floor", "ground", "metal"),
     *("uniform", "dark", "glossy", "painted_metal"),
 )
-
-
-def _require(condition: bool, message: str) -> None:
-    if not condition:
-        raise ValueError(message)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +72,7 @@ class SceneConfig:
             ("material_weights", MATERIALS),
         ):
             weights = getattr(self, name)
-            _require(
+            require(
                 len(weights) == len(kinds) and min(weights) >= 0 and sum(weights) > 0,
                 f"{name}: expected {len(kinds)} weights >= 0, not all zero, one for "
                 f"each of {kinds}, got {weights}",
@@ -85,17 +82,17 @@ class SceneConfig:
             *("mask_error_rate", "eight_bit_rate"),
         ):
             rate = getattr(self, name)
-            _require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")
+            require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")
         low, high = self.focal_range_mm
-        _require(
+        require(
             0 < low <= high,
             f"focal_range_mm: expected 0 < low <= high, got {self.focal_range_mm}",
         )
-        _require(
+        require(
             self.rotation_candidates >= 1,
             f"rotation_candidates: expected at least 1, got {self.rotation_candidates}",
         )
-        _require(
+        require(
             self.num_directions >= 8,
             f"num_directions: expected at least 8, got {self.num_directions}",
         )

@@ -1,9 +1,7 @@
 """Geometry of a scene: camera, visible surface, normals, visibility of the sky.
 
-World and camera axes agree: x right, y up, z towards the viewer. The object fits
-into the unit sphere at the origin. Rays are sphere-traced through the signed
-distance. Normals are its derivative, plus that of the fine relief, which tilts
-normals but is too low to move what is seen.
+Rays are sphere-traced through the signed distance. Normals are its derivative, plus
+that of the fine relief, which tilts normals but is too low to move what is seen.
 """
 
 import math
@@ -15,27 +13,27 @@ from jax import Array
 
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws, rotation_about
-from unips_jax.scenes.noise import Point, dot, normalize, rotate
-from unips_jax.scenes.sdf import Shape, detail, distance
+from unips_jax.scenes.grids import pick, pixel_grid, spread
+from unips_jax.scenes.noise import Point, dot, normalize
+from unips_jax.scenes.sdf import Shape, detail
 from unips_jax.scenes.shapes import draw_shape, is_flat
+from unips_jax.scenes.tracing import (
+    Camera,
+    along,
+    approach,
+    camera_rays,
+    clearance,
+    gradient,
+    object_point,
+    soft_visibility,
+    sphere_interval,
+    trace,
+    world_distance,
+)
 
 CANDIDATE_SIZE = 20
 SKY_STRIDE = 4
 _HISTOGRAM_BINS = 16
-
-
-class Camera(NamedTuple):
-    """A camera on the z axis, looking down, and the window its frame shows.
-
-    Attributes:
-        perspective: 1 for a perspective camera, 0 for an orthographic one.
-        distance: from the origin; infinite in effect for an orthographic camera.
-        window: `[3]`, centre x, y and half size of the frame on the plane z = 0.
-    """
-
-    perspective: Array
-    distance: Array
-    window: Array
 
 
 class Geometry(NamedTuple):
@@ -70,112 +68,6 @@ class Geometry(NamedTuple):
     entropy: Array
 
 
-def object_point(shape: Shape, to_object: Array, point: Point) -> Point:
-    """A world point in the object's frame."""
-    x, y, z = rotate(to_object, point)
-    return x + shape.center[0], y + shape.center[1], z + shape.center[2]
-
-
-def world_distance(shape: Shape, to_object: Array, point: Point) -> Array:
-    """Signed distance without detail, in world units."""
-    return distance(shape, object_point(shape, to_object, point)) / shape.radius
-
-
-def pixel_grid(size: int) -> tuple[Array, Array]:
-    """Frame coordinates of pixel centres: u right, v up, in (-1, 1), `[size * size]`.
-
-    Flat, as all fields are while rays are marched: the compiler vectorises the last
-    axis only.
-    """
-    centers = (2 * jnp.arange(size, dtype=jnp.float32) + 1) / size - 1
-    u, v = jnp.meshgrid(centers, -centers)
-    return u.reshape(-1), v.reshape(-1)
-
-
-def camera_rays(camera: Camera, u: Array, v: Array) -> tuple[Point, Point]:
-    """Origins and unit directions of the rays through frame coordinates."""
-    x = camera.window[0] + camera.window[2] * u
-    y = camera.window[1] + camera.window[2] * v
-    p = camera.perspective
-    z = jnp.full_like(x, 1.5) + p * (camera.distance - 1.5)
-    origin = ((1 - p) * x, (1 - p) * y, z)
-    depth = jnp.full_like(x, -1.0) * (1 + p * (camera.distance - 1))
-    return origin, normalize((p * x, p * y, depth))
-
-
-def along(origin: Point, direction: Point, t: Array) -> Point:
-    """Points origin + t direction."""
-    x, y, z = (o + t * d for o, d in zip(origin, direction, strict=True))
-    return x, y, z
-
-
-def _sphere_interval(origin: Point, direction: Point) -> tuple[Array, Array]:
-    middle = -dot(origin, direction)
-    half = jnp.sqrt(jnp.maximum(middle**2 - dot(origin, origin) + 1, 0.0))
-    return middle - half, middle + half
-
-
-def _approach(
-    shape: Shape, to_object: Array, rays: tuple[Point, Point], cone: Array, steps: int
-) -> Array:
-    """Sphere-traces until the surface enters a cone around the ray."""
-    near, far = _sphere_interval(*rays)
-
-    def step(_: int, t: Array) -> Array:
-        d = world_distance(shape, to_object, along(*rays, t))
-        return jnp.minimum(t + jnp.maximum(d - cone, 0.0), far)
-
-    return jax.lax.fori_loop(0, steps, step, near)
-
-
-def _trace(
-    shape: Shape,
-    to_object: Array,
-    rays: tuple[Point, Point],
-    start: Array,
-    least: Array | float,
-    steps: int,
-) -> tuple[Array, Array]:
-    """Sphere-traces rays, at least by `least` per step until one is inside.
-
-    The least step carries rays past the walls they graze; once inside, the last two
-    distances give the crossing.
-
-    Returns:
-        Where the rays arrived and the distance one step before.
-    """
-    _, far = _sphere_interval(*rays)
-
-    def step(_: int, carry: tuple[Array, Array, Array, Array]):
-        t, last, moved, least = carry
-        d = world_distance(shape, to_object, along(*rays, t))
-        inside = d < 0
-        back = d * jnp.maximum(moved, 0.0) / jnp.maximum(last - d, 1e-6)
-        least = jnp.where(inside, 0.0, least)
-        advance = jnp.where(inside, back, jnp.maximum(d, least))
-        return jnp.minimum(t + advance, far), d, advance, least
-
-    one = jnp.ones_like(start)
-    carry = (start, 1e3 * one, 1e-4 * one, least * one)
-    t, last, _, _ = jax.lax.fori_loop(0, steps, step, carry)
-    return t, last
-
-
-def _gradient(function, point: Point) -> Point:
-    """Derivative of a field.
-
-    Forward and in a loop: the fields are loops, dear to reverse, and written out the
-    compiler repeats the field for every consumer.
-    """
-
-    def slope(tangent: Array) -> Array:
-        full = tuple(jnp.full_like(point[0], 1.0) * tangent[i] for i in range(3))
-        return jax.jvp(function, (point,), (full,))[1]
-
-    x, y, z = jax.lax.map(slope, jnp.eye(3))
-    return x, y, z
-
-
 def normal_entropy_bits(normals: Array, mask: Array) -> Array:
     """Shannon entropy of a normal map.
 
@@ -208,12 +100,12 @@ def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array]:
     to_object = shape.radius * pose.T
     u, v = pixel_grid(CANDIDATE_SIZE)
     rays = camera_rays(camera, u, v)
-    near, _ = _sphere_interval(*rays)
-    t, last = _trace(shape, to_object, rays, near, 1 / CANDIDATE_SIZE, 10)
+    near, _ = sphere_interval(*rays)
+    t, last = trace(shape, to_object, rays, near, 1 / CANDIDATE_SIZE, 10)
     point = along(*rays, t)
     hit = last < 0.7 / CANDIDATE_SIZE
-    gradient = _gradient(lambda p: world_distance(shape, to_object, p), point)
-    normals = jnp.stack(normalize(gradient), -1)
+    slope = gradient(lambda p: world_distance(shape, to_object, p), point)
+    normals = jnp.stack(normalize(slope), -1)
     margin = 0.7 / CANDIDATE_SIZE
     bounds = [
         (jnp.min(jnp.where(hit, c, 1.0)), jnp.max(jnp.where(hit, c, -1.0)))
@@ -264,98 +156,6 @@ def _pose_and_frame(
     return pose, camera._replace(window=frame), one_hot @ entropy
 
 
-def clearance(
-    shape: Shape,
-    to_object: Array,
-    origin: Point,
-    direction: Point,
-    reach: Array | float,
-    *,
-    steps: int,
-    first: Array | float,
-) -> Array:
-    """Closest approach of rays to the object, relative to the distance travelled.
-
-    Negative where the ray enters the object; about the angle, in radians, by which
-    it clears it otherwise (I. Quilez's penumbra estimate).
-
-    Args:
-        shape: the object.
-        to_object: its pose.
-        origin: on the surface, already lifted off it.
-        direction: unit, towards the light.
-        reach: how far the light is.
-        steps: of the march.
-        first: length of the first step.
-    """
-    growth = 0.22
-    start = jnp.full(jnp.broadcast_shapes(origin[0].shape, direction[0].shape), first)
-
-    def step(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        t, closest = carry
-        d = world_distance(shape, to_object, along(origin, direction, t))
-        closest = jnp.minimum(closest, jnp.where(t < reach, d / t, 1e3))
-        return t + jnp.maximum(d, growth * t), closest
-
-    carry = (start, jnp.full_like(start, 1e3))
-    return jax.lax.fori_loop(0, steps, step, carry)[1]
-
-
-def soft_visibility(clearance: Array, cosine: Array, sharpness: Array | float) -> Array:
-    """How much of a disc of light is seen past the object, in [0, 1].
-
-    Args:
-        clearance: see the function of this name.
-        cosine: of the angle between normal and direction; an unoccluded plane has
-            this clearance and must not shade itself.
-        sharpness: reciprocal of the light's angular radius.
-    """
-    plane = jnp.minimum(sharpness * jnp.maximum(cosine, 0.02), 1.0)
-    return jnp.clip(sharpness * clearance / plane, 0.0, 1.0)
-
-
-def pick(values: Array, mask: Array, stride: int) -> Array:
-    """One masked pixel of each block, the most central; `[..., h, w]`.
-
-    Args:
-        values: `[..., H, W]`.
-        mask: `[H, W]`.
-        stride: side of the blocks.
-    """
-    h, w = mask.shape[0] // stride, mask.shape[1] // stride
-    offset = jnp.abs(jnp.arange(stride) - 0.5 * (stride - 1.1))
-    rank = 1 + stride - 0.5 * (offset[:, None] + offset) - 1e-3 * offset[:, None]
-    blocks = mask.reshape(h, stride, w, stride).transpose(0, 2, 1, 3)
-    score = rank * (0.01 + blocks.astype(jnp.float32))  # [h, w, s, s]
-    best = jnp.argmax(score.reshape(h, w, -1), -1)
-    one_hot = (best[..., None] == jnp.arange(stride**2)).astype(jnp.float32)
-    one_hot = one_hot.reshape(h, w, stride, stride)
-    tiles = values.reshape(*values.shape[:-2], h, stride, w, stride)
-    return jnp.einsum("...hiwj,hwij->...hw", tiles, one_hot)
-
-
-def _stretch(coarse: int, stride: int) -> Array:
-    """Bilinear enlargement as a matrix, `[coarse * stride, coarse]`."""
-    at = (jnp.arange(coarse * stride) + 0.5) / stride - 0.5
-    at = jnp.clip(at, 0, coarse - 1)
-    return jnp.maximum(1 - jnp.abs(at[:, None] - jnp.arange(coarse)), 0.0)
-
-
-def spread(values: Array, mask: Array, stride: int) -> Array:
-    """Enlarges what was computed at `pick`ed pixels, ignoring empty blocks.
-
-    Args:
-        values: `[..., h, w]`.
-        mask: `[H, W]`, full size.
-        stride: side of the blocks.
-    """
-    h, w = values.shape[-2:]
-    full = jnp.any(mask.reshape(h, stride, w, stride), axis=(1, 3))
-    weight = full.astype(jnp.float32) + 1e-6
-    rows, columns = _stretch(h, stride), _stretch(w, stride).T
-    return (rows @ (values * weight) @ columns) / (rows @ weight @ columns)
-
-
 def _basis_directions(draws: Draws, count: int) -> Array:
     """Jittered spherical Fibonacci points over z > -0.8, `[count, 3]`."""
     index = jnp.arange(count, dtype=jnp.float32)
@@ -393,13 +193,13 @@ def _visible_surface(
     pixel = 2 * camera.window[2] / size
     factor = 4
     rays = camera_rays(camera, *pixel_grid(size // factor))
-    start = _approach(shape, to_object, rays, 0.75 * factor * pixel, 12)
+    start = approach(shape, to_object, rays, 0.75 * factor * pixel, 12)
     start = start.reshape(size // factor, size // factor)
     start = jnp.repeat(jnp.repeat(start, factor, 0), factor, 1).reshape(-1)
     rays = camera_rays(camera, *pixel_grid(size))
-    near, _ = _sphere_interval(*rays)
+    near, _ = sphere_interval(*rays)
     start = jnp.maximum(start - 0.5 * factor * pixel, near)
-    t, last = _trace(shape, to_object, rays, start, pixel, 13)
+    t, last = trace(shape, to_object, rays, start, pixel, 13)
     mask = last < 0.5 * pixel
 
     def base(point: Point) -> Array:
@@ -422,7 +222,7 @@ def _visible_surface(
 
     height, pullback = jax.vjp(relief, point)
     (slope,) = pullback(jnp.full_like(height, shape.step_scale / shape.radius))
-    smooth = _gradient(base, point)
+    smooth = gradient(base, point)
     normal = normalize(
         (smooth[0] - slope[0], smooth[1] - slope[1], smooth[2] - slope[2])
     )

@@ -18,15 +18,8 @@ from jax import Array
 
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws
-from unips_jax.scenes.geometry import (
-    Geometry,
-    clearance,
-    object_point,
-    pick,
-    render_geometry,
-    soft_visibility,
-    spread,
-)
+from unips_jax.scenes.geometry import Geometry, render_geometry
+from unips_jax.scenes.grids import pick, spread
 from unips_jax.scenes.lights import (
     Environment,
     KeyLights,
@@ -45,6 +38,7 @@ from unips_jax.scenes.materials import (
 )
 from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.sensor import record
+from unips_jax.scenes.tracing import clearance, object_point, soft_visibility
 
 KEY_STRIDE = 2
 

@@ -1,0 +1,174 @@
+"""Rays through signed distances: camera, surface, what blocks the view of a light.
+
+World and camera axes agree: x right, y up, z towards the viewer. The object fits into
+the unit sphere at the origin.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax.scenes.noise import Point, dot, normalize, rotate
+from unips_jax.scenes.sdf import Shape, distance
+
+
+class Camera(NamedTuple):
+    """A camera on the z axis, looking down, and the window its frame shows.
+
+    Attributes:
+        perspective: 1 for a perspective camera, 0 for an orthographic one.
+        distance: from the origin; infinite in effect for an orthographic camera.
+        window: `[3]`, centre x, y and half size of the frame on the plane z = 0.
+    """
+
+    perspective: Array
+    distance: Array
+    window: Array
+
+
+def object_point(shape: Shape, to_object: Array, point: Point) -> Point:
+    """A world point in the object's frame."""
+    x, y, z = rotate(to_object, point)
+    return x + shape.center[0], y + shape.center[1], z + shape.center[2]
+
+
+def world_distance(shape: Shape, to_object: Array, point: Point) -> Array:
+    """Signed distance without detail, in world units."""
+    return distance(shape, object_point(shape, to_object, point)) / shape.radius
+
+
+def camera_rays(camera: Camera, u: Array, v: Array) -> tuple[Point, Point]:
+    """Origins and unit directions of the rays through frame coordinates."""
+    x = camera.window[0] + camera.window[2] * u
+    y = camera.window[1] + camera.window[2] * v
+    p = camera.perspective
+    z = jnp.full_like(x, 1.5) + p * (camera.distance - 1.5)
+    origin = ((1 - p) * x, (1 - p) * y, z)
+    depth = jnp.full_like(x, -1.0) * (1 + p * (camera.distance - 1))
+    return origin, normalize((p * x, p * y, depth))
+
+
+def along(origin: Point, direction: Point, t: Array) -> Point:
+    """Points origin + t direction."""
+    x, y, z = (o + t * d for o, d in zip(origin, direction, strict=True))
+    return x, y, z
+
+
+def sphere_interval(origin: Point, direction: Point) -> tuple[Array, Array]:
+    """Where rays enter and leave the unit sphere."""
+    middle = -dot(origin, direction)
+    half = jnp.sqrt(jnp.maximum(middle**2 - dot(origin, origin) + 1, 0.0))
+    return middle - half, middle + half
+
+
+def approach(
+    shape: Shape, to_object: Array, rays: tuple[Point, Point], cone: Array, steps: int
+) -> Array:
+    """Sphere-traces until the surface enters a cone around the ray."""
+    near, far = sphere_interval(*rays)
+
+    def step(_: int, t: Array) -> Array:
+        d = world_distance(shape, to_object, along(*rays, t))
+        return jnp.minimum(t + jnp.maximum(d - cone, 0.0), far)
+
+    return jax.lax.fori_loop(0, steps, step, near)
+
+
+def trace(
+    shape: Shape,
+    to_object: Array,
+    rays: tuple[Point, Point],
+    start: Array,
+    least: Array | float,
+    steps: int,
+) -> tuple[Array, Array]:
+    """Sphere-traces rays, at least by `least` per step until one is inside.
+
+    The least step carries rays past the walls they graze; once inside, the last two
+    distances give the crossing.
+
+    Returns:
+        Where the rays arrived and the distance one step before.
+    """
+    _, far = sphere_interval(*rays)
+
+    def step(_: int, carry: tuple[Array, Array, Array, Array]):
+        t, last, moved, least = carry
+        d = world_distance(shape, to_object, along(*rays, t))
+        inside = d < 0
+        back = d * jnp.maximum(moved, 0.0) / jnp.maximum(last - d, 1e-6)
+        least = jnp.where(inside, 0.0, least)
+        advance = jnp.where(inside, back, jnp.maximum(d, least))
+        return jnp.minimum(t + advance, far), d, advance, least
+
+    one = jnp.ones_like(start)
+    carry = (start, 1e3 * one, 1e-4 * one, least * one)
+    t, last, _, _ = jax.lax.fori_loop(0, steps, step, carry)
+    return t, last
+
+
+def gradient(function, point: Point) -> Point:
+    """Derivative of a field.
+
+    Forward and in a loop: the fields are loops, dear to reverse, and written out the
+    compiler repeats the field for every consumer.
+    """
+
+    def slope(tangent: Array) -> Array:
+        full = tuple(jnp.full_like(point[0], 1.0) * tangent[i] for i in range(3))
+        return jax.jvp(function, (point,), (full,))[1]
+
+    x, y, z = jax.lax.map(slope, jnp.eye(3))
+    return x, y, z
+
+
+def clearance(
+    shape: Shape,
+    to_object: Array,
+    origin: Point,
+    direction: Point,
+    reach: Array | float,
+    *,
+    steps: int,
+    first: Array | float,
+) -> Array:
+    """Closest approach of rays to the object, relative to the distance travelled.
+
+    Negative where the ray enters the object; about the angle, in radians, by which
+    it clears it otherwise (I. Quilez's penumbra estimate).
+
+    Args:
+        shape: the object.
+        to_object: its pose.
+        origin: on the surface, already lifted off it.
+        direction: unit, towards the light.
+        reach: how far the light is.
+        steps: of the march.
+        first: length of the first step.
+    """
+    growth = 0.22
+    start = jnp.full(jnp.broadcast_shapes(origin[0].shape, direction[0].shape), first)
+
+    def step(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        t, closest = carry
+        d = world_distance(shape, to_object, along(origin, direction, t))
+        closest = jnp.minimum(closest, jnp.where(t < reach, d / t, 1e3))
+        return t + jnp.maximum(d, growth * t), closest
+
+    carry = (start, jnp.full_like(start, 1e3))
+    return jax.lax.fori_loop(0, steps, step, carry)[1]
+
+
+def soft_visibility(clearance: Array, cosine: Array, sharpness: Array | float) -> Array:
+    """How much of a disc of light is seen past the object, in [0, 1].
+
+    Args:
+        clearance: see the function of this name.
+        cosine: of the angle between normal and direction; an unoccluded plane has
+            this clearance and must not shade itself.
+        sharpness: reciprocal of the light's angular radius.
+    """
+    plane = jnp.minimum(sharpness * jnp.maximum(cosine, 0.02), 1.0)
+    return jnp.clip(sharpness * clearance / plane, 0.0, 1.0)
