@@ -184,7 +184,7 @@ def test_options_are_read_and_reach_the_method():
         ("l1:iterations", "expected option=value"),
         ("l1:steps=3", "steps"),
         ("least-squares:keep=(0.9,0.1)", "0 <= low < high <= 1"),
-        ("lcnet", "expected a file of weights"),
+        ("gcnet", "expected a file of weights"),
         ("gcnet:weights=nowhere.safetensors", "expected a file of weights"),
         ("unips:size=3", "--canonical-size"),
     ],

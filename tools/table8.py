@@ -5,8 +5,9 @@
 Renders 6 objects under three lightings with 10 images of 256 x 256 each, and compares
 UniPS with the paper's competitors, the classical methods and both floors. Started
 again, it only does what is left. What differs from the paper: the data (rendered here,
-not PS-Wild-Test), the weights of UniPS and GCNet (ours), and MPM (our reconstruction);
-the report's section "What the methods are" says so again.
+not PS-Wild-Test), the weights of UniPS (ours), and MPM (our reconstruction); the
+report's section "What the methods are" says so again. GCNet takes part once weights
+are given: the authors', converted, or those of `tools/train_gcnet.py`.
 """
 
 import argparse
@@ -15,10 +16,7 @@ from pathlib import Path
 from unips_jax import eval as evaluation
 from unips_jax import render
 
-METHODS = (
-    *("unips", "gcnet", "mpm", "mpm:sign=oracle"),
-    *("variational", "classical"),
-)
+METHODS = (*("unips", "mpm", "mpm:sign=oracle", "variational", "classical"),)
 
 
 def main() -> None:
@@ -28,15 +26,18 @@ def main() -> None:
     )
     parser.add_argument("out", type=Path, metavar="OUT")
     parser.add_argument("--weights", default="tiny", help="of UniPS (tiny)")
+    parser.add_argument("--gcnet", metavar="FILE", help="GCNet's weights")
     parser.add_argument("--objects", type=int, default=6, help="(6)")
     arguments = parser.parse_args()
     scenes = arguments.out / "scenes"
     size = ("--images", "10", "--size", "256", "--seed", "8")
     made = ("-o", str(scenes), "--objects", str(arguments.objects), *size)
+    gcnet = (f"gcnet:weights={arguments.gcnet},normals=woodham",)
+    methods = METHODS + (gcnet if arguments.gcnet else ())
     compared = (
         *("--benchmark", "ps-wild", "--root", str(scenes)),
         *("--workdir", str(arguments.out / "evaluation")),
-        *("--weights", arguments.weights, "-m", *METHODS),
+        *("--weights", arguments.weights, "-m", *methods),
     )
     raise SystemExit(render.main(made) or evaluation.main(compared))
 

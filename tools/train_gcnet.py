@@ -1,6 +1,6 @@
 """Trains our own small GCNet on scenes under directional light.
 
-    python tools/train_gcnet.py -o unips_jax/assets/gcnet_small.safetensors
+    python tools/train_gcnet.py -o gcnet_small.safetensors
 
 The authors' weights may not be passed on; these are the architecture of Chen et al.
 (ECCV 2020), at half the width, with weights of our own. Their four stages are shortened

@@ -35,8 +35,6 @@ class Baseline(NamedTuple):
         factory: in that module; its keyword arguments are the method's options.
         fixed: options that the name stands for.
         weights: whether it cannot run without the option `weights`.
-        shipped: options that stand in where no weights are given; `weights` is then a
-            file in `unips_jax/assets`.
     """
 
     about: str
@@ -44,7 +42,6 @@ class Baseline(NamedTuple):
     factory: str
     fixed: Mapping[str, Any] = MappingProxyType({})
     weights: bool = False
-    shipped: Mapping[str, Any] = MappingProxyType({})
 
 
 BASELINES: dict[str, Baseline] = {
@@ -53,7 +50,6 @@ BASELINES: dict[str, Baseline] = {
         "lights estimated, then normals by a calibrated method",
         *("gcnet", "gcnet"),
         weights=True,
-        shipped={"weights": "gcnet_small.safetensors", "normals": "woodham"},
     ),
     "lcnet": Baseline(
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
@@ -127,7 +123,6 @@ CLASSICAL = (
 )
 """What `classical` stands for on the command line."""
 
-_ASSETS = Path(__file__).parents[1] / "assets"
 _UNIPS_CODE = ("models", "ops.py", "estimation.py", "streaming.py")
 
 NAMES = ("unips", *BASELINES)
@@ -218,11 +213,6 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     if name not in BASELINES:
         raise InputError(f"no method {name!r}; there are {', '.join(NAMES)}, classical")
     baseline = BASELINES[name]
-    about = baseline.about
-    if baseline.shipped and "weights" not in options:
-        options = {**baseline.shipped, **options}
-        options["weights"] = str(_ASSETS / options["weights"])
-        about = about.replace("the weights given", "our own small weights")
     weights = options.get("weights")
     if (baseline.weights or "weights" in options) and not Path(str(weights)).is_file():
         raise InputError(
@@ -249,6 +239,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
         **{"method": name, "options": hashed, "oracle": oracle},
         "method_code": code_hash("baselines"),
     }
+    about = baseline.about
     if oracle:
         about += ". \N{DAGGER}: signs of x, y and z chosen by the truth"
     return Variant(_label(name, told, factory, oracle), key, method, about, oracle)
