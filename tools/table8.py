@@ -16,7 +16,7 @@ from pathlib import Path
 from unips_jax import eval as evaluation
 from unips_jax import render
 
-METHODS = (*("unips", "mpm", "mpm:sign=oracle", "variational", "classical"),)
+METHODS = ("unips", "mpm", "mpm:sign=oracle", "variational", "classical")
 
 
 def main() -> None:
