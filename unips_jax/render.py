@@ -3,22 +3,20 @@
 The folders follow PS-Wild-Test: one per object and lighting, with 16-bit linear
 images `L_*.png`, `mask.png`, and `normal.tif` (n = 2 v / 65535 - 1, x right, y up,
 z to the viewer, background 32768); `meta.json` says what was drawn.
+`--engine cycles` renders with Blender Cycles instead, and has options of its own: see
+`unips render --engine cycles --help`.
 """
 
 import argparse
-import json
-import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import jax
 import numpy as np
 
 from unips_jax.command import InputError, command, track
+from unips_jax.ps_wild_files import write_folder, write_picture
 from unips_jax.scenes import (
     LIGHT_KINDS,
     MATERIALS,
@@ -33,30 +31,6 @@ LIGHTINGS = ("directional", "environment", "mixed")
 _FOLDER_CONFIG = SceneConfig(
     linear_rate=1.0, eight_bit_rate=0.0, blur_rate=0.0, mask_error_rate=0.0
 )
-
-
-def _write(path: Path, pixels: np.ndarray) -> None:
-    """Writes RGB or grey pixels; the suffix chooses the format."""
-    if pixels.ndim == 3:
-        pixels = pixels[..., ::-1]
-    ok, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels))
-    if not ok:
-        raise OSError(f"{path}: could not be encoded")
-    path.write_bytes(data.tobytes())
-
-
-def encode_normals(normals: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Normals as 16-bit colours.
-
-    Args:
-        normals: `[H, W, 3]`, unit inside the mask.
-        mask: `[H, W]` bool.
-
-    Returns:
-        `[H, W, 3]` uint16, v = 65535 (n + 1) / 2 rounded, 32768 outside the mask.
-    """
-    values = np.rint((np.clip(normals, -1, 1) + 1) * 32767.5)
-    return np.where(mask[..., None], values, 32768).astype(np.uint16)
 
 
 def describe(scene: Scene) -> dict[str, Any]:
@@ -78,33 +52,6 @@ def describe(scene: Scene) -> dict[str, Any]:
         facts["light_directions"] = np.asarray(scene.light_directions).tolist()
         facts["light_intensities"] = np.asarray(scene.light_intensities).tolist()
     return facts
-
-
-def write_folder(folder: Path, scene: Scene, facts: dict[str, Any]) -> None:
-    """Writes one scene; the folder appears only when it is complete.
-
-    Args:
-        folder: `X.data`, must not exist.
-        scene: one scene, without a batch axis.
-        facts: what goes into `meta.json` beside `describe(scene)`.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        mask = np.asarray(scene.mask)
-        for index, image in enumerate(np.asarray(scene.images)):
-            pixels = np.rint(np.clip(image, 0, 1) * 65535).astype(np.uint16)
-            _write(partial / f"L_{index:02d}.png", pixels)
-        _write(partial / "mask.png", mask.astype(np.uint8) * 255)
-        normals = encode_normals(np.asarray(scene.normals), mask)
-        _write(partial / "normal.tif", normals)
-        text = json.dumps({**facts, **describe(scene)}, indent=1)
-        (partial / "meta.json").write_text(text + "\n")
-        partial.chmod(0o755)
-        os.rename(partial, folder)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
 
 
 def render_folders(
@@ -135,7 +82,11 @@ def render_folders(
             light_kind=np.int32(LIGHT_KINDS.index(name)),
         )
         scene = jax.tree.map(lambda leaf: leaf[0], batch)
-        write_folder(folder, scene, {"seed": seed, "object": index, "size": size})
+        facts = {"seed": seed, "object": index, "size": size, **describe(scene)}
+        images, mask, normals = map(
+            np.asarray, (scene.images, scene.mask, scene.normals)
+        )
+        write_folder(folder, images, mask, normals, facts)
 
 
 def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:
@@ -179,18 +130,27 @@ def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
         batches.append(jax.tree.map(np.asarray, batch))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
     path.parent.mkdir(parents=True, exist_ok=True)
-    _write(path, contact_sheet(joined))
+    write_picture(path, contact_sheet(joined))
 
 
 def _main(argv: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="unips render", description=__doc__)
+    chooser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    chooser.add_argument("--engine", choices=("jax", "cycles"), default="jax")
+    engine, rest = chooser.parse_known_args(argv)
+    if engine.engine == "cycles":
+        from unips_jax.cycles import command as cycles
+
+        return cycles.main(rest)
+    parser = argparse.ArgumentParser(
+        prog="unips render", description=__doc__, parents=[chooser]
+    )
     parser.add_argument("-o", "--output", type=Path, help="folder for PS-Wild folders")
     parser.add_argument("--sheet", type=Path, help="picture of 64 random scenes")
     parser.add_argument("--objects", type=int, default=6, help="(6)")
     parser.add_argument("--images", type=int, default=8, help="per folder (8)")
     parser.add_argument("--size", type=int, default=128, help="in pixels (128)")
     parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(argv)
+    options = parser.parse_args(rest)
     if options.output is None and options.sheet is None:
         raise InputError("expected -o DIR, --sheet OUT.png or both, got neither")
     if options.size <= 0 or options.size % 4:

@@ -8,7 +8,6 @@ that the next attempt overwrites.
 """
 
 import contextlib
-import fcntl
 import functools
 import hashlib
 import json
@@ -21,6 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from unips_jax.claims import claim
 from unips_jax.command import InputError
 
 
@@ -100,13 +100,8 @@ class Store:
         Yields:
             Whether it is ours.
         """
-        with (self.root / ".locks" / slug(name)).open("ab") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            except BlockingIOError:
-                yield False
-                return
-            yield True
+        with claim(self.root / ".locks" / slug(name), wait=wait) as ours:
+            yield ours
 
     def path(self, name: str) -> Path:
         """Where a result's JSON lies."""

@@ -1,0 +1,1 @@
+"""PS-Wild-like sets rendered with Blender Cycles."""

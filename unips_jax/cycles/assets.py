@@ -1,0 +1,190 @@
+"""What is rendered: the user's meshes, materials and environments, or drawn ones.
+
+Each object is a function of the seed and its number (or, in a manifest, of its names),
+whatever else the set holds.
+"""
+
+import csv
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from unips_jax.command import InputError
+
+CATEGORIES = ("Fabric", "Concrete", "Wood", "Floor", "Ground", "Metal")
+SHAPES = ("cut", "displaced", "knot", "lathe", "extruded", "relief", "pile")
+MESHES = frozenset((".obj", ".ply", ".glb", ".gltf", ".stl", ".blend"))
+PICTURES = frozenset((".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr"))
+_MAPS = {
+    "baseColor": ("basecolor", "base_color", "albedo", "diffuse", "color", "colour"),
+    "roughness": ("roughness", "rough"),
+    "metal": ("metallic", "metalness", "metal"),
+}
+
+
+class Job(NamedTuple):
+    """One object of a set.
+
+    Attributes:
+        name: of its folders.
+        seed: draws everything of it that is not named here.
+        shape: what Blender's `shapes.build` takes.
+        material: what Blender's `materials.build` takes.
+        facts: names for `meta.json`: shape, material, category.
+        facing: whether only its front is of interest (a relief).
+        lightings: which lightings it is to have; None for all.
+    """
+
+    name: str
+    seed: tuple[int, ...]
+    shape: dict[str, Any]
+    material: dict[str, Any]
+    facts: dict[str, str]
+    facing: bool = False
+    lightings: tuple[str, ...] | None = None
+
+
+def find_files(folder: Path, suffixes: frozenset[str], option: str) -> list[Path]:
+    """Files below a folder, sorted.
+
+    Raises:
+        InputError: if there are none.
+    """
+    found = sorted(p for p in folder.rglob("*") if p.suffix.lower() in suffixes)
+    if not found:
+        raise InputError(
+            f"{option} {folder}: expected files {', '.join(sorted(suffixes))}, "
+            "found none"
+        )
+    return found
+
+
+def find_materials(folder: Path) -> dict[str, dict[str, Any]]:
+    """Texture sets: one folder each, their maps told by the files' names.
+
+    Args:
+        folder: holds them, at any depth.
+
+    Returns:
+        By the folder's name, what Blender's `materials.build` takes. The category is
+        that of the six whose name is part of the path, or "".
+
+    Raises:
+        InputError: if there are none.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for picture in find_files(folder, PICTURES, "--materials"):
+        stem = picture.stem.lower()
+        for name, words in _MAPS.items():
+            # "metal_basecolor" is a base colour: maps are told by the last word.
+            if any(stem.endswith(word) for word in words):
+                place = picture.parent
+                parts = str(place.relative_to(folder.parent)).lower()
+                category = next((c for c in CATEGORIES if c.lower() in parts), "")
+                entry = found.setdefault(place.name, {"category": category, "maps": {}})
+                entry["maps"].setdefault(name, str(picture.resolve()))
+    if not any("baseColor" in entry["maps"] for entry in found.values()):
+        raise InputError(
+            f"--materials {folder}: expected pictures named *baseColor*, *roughness* "
+            "and *metallic* in a folder per material, found no base colour"
+        )
+    return found
+
+
+def _number(text: str) -> int:
+    return zlib.crc32(text.encode())
+
+
+def drawn_jobs(
+    count: int,
+    seed: int,
+    meshes: list[Path] | None = None,
+    materials: dict[str, dict[str, Any]] | None = None,
+) -> list[Job]:
+    """Objects `obj000`, `obj001`, ..., each of its own number and seed.
+
+    Args:
+        count: how many.
+        seed: of the set.
+        meshes: the user's; procedural shapes without.
+        materials: see `find_materials`; procedural ones without.
+    """
+    jobs = []
+    for index in range(count):
+        rng = np.random.default_rng((seed, index))
+        kind, category = SHAPES[index % len(SHAPES)], CATEGORIES[index % 6]
+        shape: dict[str, Any] = {"kind": kind, "seed": int(rng.integers(2**31))}
+        material: dict[str, Any]
+        material = {"category": category, "seed": int(rng.integers(2**31))}
+        facts = {"shape": kind, "material": category.lower(), "category": category}
+        if meshes:
+            path = meshes[int(rng.integers(len(meshes)))]
+            shape, facts["shape"] = {"file": str(path.resolve())}, path.stem
+        if materials:
+            name = sorted(materials)[int(rng.integers(len(materials)))]
+            material = materials[name]
+            facts |= {"material": name, "category": material["category"]}
+        facing = not meshes and kind == "relief"
+        place = (seed, index, 1)
+        jobs.append(Job(f"obj{index:03d}", place, shape, material, facts, facing))
+    return jobs
+
+
+def manifest_jobs(
+    path: Path,
+    seed: int,
+    meshes: list[Path] | None = None,
+    materials: dict[str, dict[str, Any]] | None = None,
+) -> list[Job]:
+    """The objects of a list.
+
+    Args:
+        path: CSV with columns `object`, `material`, `category` and, if wanted, `id`
+            and `lighting` (several separated by blanks), as `ps_wild_test.csv`.
+        seed: of what is drawn: a shape by the object's name where no mesh file has
+            it, a material by its name where no texture folder has it.
+        meshes: the user's.
+        materials: see `find_materials`.
+
+    Raises:
+        InputError: if a column is missing or a category unknown.
+    """
+    by_name = {mesh.stem.lower(): mesh for mesh in meshes or []}
+    sets = {name.lower(): entry for name, entry in (materials or {}).items()}
+    try:
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"--manifest {path}: cannot be read ({error})") from None
+    jobs = []
+    for line, row in enumerate(rows, 2):
+        missing = [k for k in ("object", "material", "category") if not row.get(k)]
+        if missing:
+            raise InputError(
+                f"{path}, line {line}: expected object, material and category, "
+                f"{missing[0]} is missing"
+            )
+        thing, matter, category = (row[k] for k in ("object", "material", "category"))
+        if category not in CATEGORIES:
+            raise InputError(
+                f"{path}, line {line}: category: expected one of "
+                f"{', '.join(CATEGORIES)}, got {category!r}"
+            )
+        number = _number(f"{seed}/{thing}")
+        kind = SHAPES[number % len(SHAPES)]
+        shape: dict[str, Any] = {"kind": kind, "seed": number}
+        if thing.lower() in by_name:
+            shape = {"file": str(by_name[thing.lower()].resolve())}
+        drawn = {"category": category, "seed": _number(f"{seed}/{matter}")}
+        material = sets.get(matter.lower(), drawn)
+        facts = {"shape": thing, "material": matter, "category": category}
+        name = f"{row.get('id') or line - 1:>03}-{thing}-{matter}"
+        facing = shape.get("kind") == "relief"
+        lightings = tuple((row.get("lighting") or "").split()) or None
+        place = (seed, _number(name))
+        jobs.append(Job(name, place, shape, material, facts, facing, lightings))
+    if not jobs:
+        raise InputError(f"--manifest {path}: expected lines of objects, found none")
+    return jobs

@@ -1,0 +1,274 @@
+"""Renders on request: one JSON object per line on standard input, one per answer.
+
+Requests: `{"do": NAME, ...}` with the keyword arguments of `Studio.NAME`. Answers:
+`{"ok": RESULT}` or `{"error": TEXT}`. Pictures are EXR files where the request says.
+
+World axes are the camera's: x right, y up, z towards the viewer; the object is around
+the origin and its outline reaches the frame's edge at +-1. `Studio` keeps the object
+between requests.
+"""
+
+import json
+import math
+import os
+import sys
+import traceback
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Quaternion, Vector
+
+from . import materials, shapes
+
+FRAME_MM = 36.0  # the frame's side that focal lengths refer to
+PASSES = ("baseColor", "roughness", "metal")
+
+
+class Studio:
+    """One object, one camera, and lights that change from picture to picture."""
+
+    def __init__(self, threads: int = 0) -> None:
+        """Waits for `build`.
+
+        Args:
+            threads: of the renderer; 0 takes all cores.
+        """
+        self.threads = threads
+
+    def version(self) -> dict[str, str]:
+        """Names of what renders."""
+        return {"blender": bpy.app.version_string, "numpy": np.__version__}
+
+    def environments(self) -> list[str]:
+        """The environment pictures that come with Blender (CC0)."""
+        folder = os.path.join(bpy.utils.system_resource("DATAFILES"), "studiolights")
+        folder = os.path.join(folder, "world")
+        return sorted(
+            os.path.join(folder, n) for n in os.listdir(folder) if n.endswith(".exr")
+        )
+
+    def build(self, shape: dict[str, Any], material: dict[str, Any]) -> int:
+        """Starts an empty file with one object in it.
+
+        Args:
+            shape: see `shapes.build`.
+            material: see `materials.build`.
+
+        Returns:
+            Number of its vertices.
+        """
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        scene = bpy.context.scene
+        mesh = shapes.build(**shape)
+        self.object = bpy.data.objects.new("object", mesh)
+        scene.collection.objects.link(self.object)
+        points = np.empty(3 * len(mesh.vertices), np.float32)
+        mesh.vertices.foreach_get("co", points)
+        self.points = points.reshape(-1, 3).astype(np.float64)
+        if not (len(self.points) and np.isfinite(self.points).all()):
+            raise ValueError("the mesh has no vertices, or some are not finite")
+        self.points -= (self.points.min(0) + self.points.max(0)) / 2
+        self.points /= np.linalg.norm(self.points, axis=1).max()
+        mesh.vertices.foreach_set("co", self.points.astype(np.float32).ravel())
+        mesh.update()
+        mesh.materials.clear()
+        mesh.materials.append(materials.build(mesh=mesh, **material))
+        for polygon in mesh.polygons:
+            polygon.material_index = 0
+        world = scene.world = bpy.data.worlds.new("world")
+        world.use_nodes = True
+        camera = bpy.data.cameras.new("camera")
+        camera.sensor_width = FRAME_MM
+        scene.camera = bpy.data.objects.new("camera", camera)
+        scene.collection.objects.link(scene.camera)
+        _settings(scene, self.threads)
+        return len(self.points)
+
+    def place(self, rotation: list[float], focal_mm: float | None) -> None:
+        """Turns the object and moves it so that its outline reaches the frame's edge.
+
+        Args:
+            rotation: a quaternion, w first.
+            focal_mm: of a frame of 36 mm; None for an orthographic camera.
+        """
+        turned = self.points @ np.array(Quaternion(rotation).to_matrix()).T
+        camera = bpy.context.scene.camera
+        if focal_mm is None:
+            distance = 10.0
+            camera.data.type, camera.data.ortho_scale = "ORTHO", 2.0
+        else:
+            distance = math.hypot(1, 2 * focal_mm / FRAME_MM)
+            camera.data.type, camera.data.lens = "PERSP", focal_mm
+        camera.data.clip_start, camera.data.clip_end = 0.01, 100.0
+        camera.location = (0, 0, distance)
+        scale, offset = 0.5, np.zeros(3)
+        for _ in range(30):
+            seen = scale * turned + offset
+            if focal_mm is None:
+                flat, factor = seen[:, :2], 1.0
+            else:
+                factor = 2 * focal_mm / FRAME_MM
+                depth = np.maximum(distance - seen[:, 2:], 0.05)
+                flat = factor * seen[:, :2] / depth
+                factor /= distance
+            low, high = flat.min(0), flat.max(0)
+            offset[:2] -= (low + high) / 2 / factor
+            scale *= 2 / (high - low).max()
+        matrix = Quaternion(rotation).to_matrix().to_4x4()
+        self.object.matrix_world = (
+            Matrix.Translation(Vector(offset)) @ matrix @ Matrix.Scale(scale, 4)
+        )
+
+    def truth(self, path: str, size: int) -> None:
+        """Writes normals, depth and material at the centres of the pixels.
+
+        Args:
+            path: of a multi-layer EXR.
+            size: side in pixels.
+        """
+        scene = bpy.context.scene
+        layer = scene.view_layers[0]
+        layer.use_pass_normal = layer.use_pass_z = True
+        scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 0.01
+        scene.render.image_settings.file_format = "OPEN_EXR_MULTILAYER"
+        self._world(None)
+        self._lamps([])
+        _render(path, size=size, samples=1, denoise=False, seed=0)
+        layer.use_pass_normal = layer.use_pass_z = False
+
+    def image(
+        self,
+        path: str,
+        size: int,
+        samples: int,
+        denoise: bool,
+        seed: int,
+        lamps: list[dict[str, Any]],
+        environment: dict[str, Any] | None = None,
+    ) -> None:
+        """Writes one photograph, linear RGBA, premultiplied.
+
+        Args:
+            path: of an EXR file.
+            size: side in pixels.
+            samples: paths per pixel.
+            denoise: with Open Image Denoise.
+            seed: of the paths.
+            lamps: `{"kind": "sun", "direction", "irradiance"}` (towards the lamp; W/m^2
+                per channel on a surface that faces it) or `{"kind": "area",
+                "position", "power", "side"}` (W per channel, facing the origin).
+            environment: `{"file", "rotation", "strength"}`, Euler angles in radians
+                from the world to the picture's axes; or `{"color"}`, the same from
+                everywhere.
+        """
+        scene = bpy.context.scene
+        scene.cycles.pixel_filter_type = "BLACKMAN_HARRIS"
+        scene.cycles.filter_width = 1.5
+        scene.render.image_settings.file_format = "OPEN_EXR"
+        self._world(environment)
+        self._lamps(lamps)
+        _render(path, size=size, samples=samples, denoise=denoise, seed=seed)
+
+    def _lamps(self, lamps: list[dict[str, Any]]) -> None:
+        for old in [o for o in bpy.data.objects if o.type == "LIGHT"]:
+            bpy.data.lights.remove(old.data)
+        for lamp in lamps:
+            sun = lamp["kind"] == "sun"
+            light = bpy.data.lights.new("lamp", "SUN" if sun else "AREA")
+            power = np.array(lamp["irradiance" if sun else "power"], float)
+            light.energy = max(power.max(), 1e-12)
+            light.color = power / light.energy
+            towards = Vector(lamp["direction" if sun else "position"])
+            if sun:
+                light.angle = lamp.get("angle", 0.0)
+            else:
+                light.size = lamp["side"]
+            item = bpy.data.objects.new("lamp", light)
+            item.rotation_euler = towards.to_track_quat("Z", "Y").to_euler()
+            if not sun:
+                item.location = towards
+            bpy.context.scene.collection.objects.link(item)
+
+    def _world(self, environment: dict[str, Any] | None) -> None:
+        world = bpy.context.scene.world
+        tree = world.node_tree
+        tree.nodes.clear()
+        background = tree.nodes.new("ShaderNodeBackground")
+        output = tree.nodes.new("ShaderNodeOutputWorld")
+        tree.links.new(background.outputs[0], output.inputs[0])
+        color = (environment or {}).get("color", (0, 0, 0))
+        background.inputs["Color"].default_value = (*color, 1)
+        if environment and "file" in environment:
+            where = tree.nodes.new("ShaderNodeTexCoord")
+            turn = tree.nodes.new("ShaderNodeMapping")
+            picture = tree.nodes.new("ShaderNodeTexEnvironment")
+            picture.image = bpy.data.images.load(
+                environment["file"], check_existing=True
+            )
+            picture.image.colorspace_settings.name = "Linear Rec.709"
+            turn.inputs["Rotation"].default_value = environment["rotation"]
+            background.inputs["Strength"].default_value = environment["strength"]
+            tree.links.new(where.outputs["Generated"], turn.inputs["Vector"])
+            tree.links.new(turn.outputs[0], picture.inputs["Vector"])
+            tree.links.new(picture.outputs["Color"], background.inputs["Color"])
+        # A table of fixed size for sampling the lights; the automatic one costs more
+        # than a small picture, for every rotation again.
+        world.cycles.sampling_method = "MANUAL"
+        world.cycles.sample_map_resolution = 2048
+        world.update_tag()
+
+
+def _settings(scene: Any, threads: int) -> None:
+    if threads:
+        scene.render.threads_mode, scene.render.threads = "FIXED", threads
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.max_bounces = 10
+    scene.cycles.diffuse_bounces = scene.cycles.glossy_bounces = 10
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.sample_clamp_direct = 0.0
+    scene.cycles.sample_clamp_indirect = 10.0
+    scene.render.film_transparent = True
+    scene.render.use_compositing = scene.render.use_sequencer = False
+    scene.render.resolution_percentage = 100
+    scene.render.use_file_extension = False
+    scene.view_settings.view_transform = "Raw"
+    layer = scene.view_layers[0]
+    for name in PASSES:
+        aov = layer.aovs.add()
+        aov.name, aov.type = name, "COLOR" if name == "baseColor" else "VALUE"
+
+
+def _render(path: str, *, size: int, samples: int, denoise: bool, seed: int) -> None:
+    scene = bpy.context.scene
+    scene.cycles.samples, scene.cycles.seed = samples, seed
+    scene.cycles.use_denoising = denoise
+    if denoise:
+        scene.cycles.denoiser = "OPENIMAGEDENOISE"
+    scene.render.resolution_x = scene.render.resolution_y = size
+    scene.render.image_settings.color_depth = "32"
+    scene.render.filepath = path
+    bpy.ops.render.render(write_still=True)
+    if not os.path.exists(path):
+        raise RuntimeError(f"{path}: was not rendered")
+
+
+def main() -> None:
+    """Answers requests until standard input ends."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # Blender prints from C++, to file descriptor 1
+    studio = Studio(int(sys.argv[1]) if len(sys.argv) > 1 else 0)
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            result = getattr(studio, request.pop("do"))(**request)
+            answer = {"ok": result}
+        except Exception as error:  # the driver decides; the next object may be fine
+            traceback.print_exc()
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()

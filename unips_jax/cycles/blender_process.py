@@ -1,0 +1,148 @@
+"""Blender's Python as a process of its own: requests out, pictures back.
+
+`bpy` needs NumPy below 2 and JAX one above, so they cannot share an environment. A
+crash or a hang there costs one object, not the run.
+"""
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+
+from unips_jax.command import InputError
+
+VARIABLE = "UNIPS_BPY_PYTHON"
+SETUP = "python tools/render_cycles.py --setup .venv-bpy"
+
+
+class BlenderError(RuntimeError):
+    """A request failed; the process is ready for the next object."""
+
+
+def find_python() -> str:
+    """The Python that has `bpy`: `$UNIPS_BPY_PYTHON`, or this one.
+
+    Raises:
+        InputError: if it cannot import `bpy`.
+    """
+    python = os.environ.get(VARIABLE, sys.executable)
+    try:
+        probe = subprocess.run(
+            [python, "-c", "import bpy"], capture_output=True, text=True, timeout=300
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise InputError(f"{VARIABLE}={python}: cannot be run ({error})") from None
+    if probe.returncode:
+        said = (probe.stderr.strip().splitlines() or ["no message"])[-1]
+        raise InputError(
+            f"{python} cannot import bpy ({said}); set up Blender's Python with "
+            f"`{SETUP}` and set {VARIABLE}=.venv-bpy/bin/python"
+        )
+    return python
+
+
+class Blender:
+    """A running `blender/worker.py`."""
+
+    def __init__(self, python: str, *, threads: int = 0) -> None:
+        """Starts it.
+
+        Args:
+            python: has `bpy`; see `find_python`.
+            threads: of the renderer; 0 takes all cores.
+        """
+        self._python, self._threads = python, threads
+        self._folder = tempfile.TemporaryDirectory(prefix="unips-cycles-")
+        self._process: subprocess.Popen[str] | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Where pictures come and go."""
+        return Path(self._folder.name)
+
+    def __enter__(self) -> "Blender":
+        """Starts nothing yet: the first request does."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Ends the process and removes its files."""
+        self._stop()
+        self._folder.cleanup()
+
+    def _start(self) -> subprocess.Popen[str]:
+        if self._process is None:
+            here = str(Path(__file__).parent)
+            environment = {**os.environ, "PYTHONPATH": here}
+            command = [self._python, "-m", "blender.worker", str(self._threads)]
+            with (self.folder / "log.txt").open("w") as log:
+                self._process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    env=environment,
+                    text=True,
+                )
+        return self._process
+
+    def _stop(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+    def ask(self, do: str, *, limit_s: float = 3600.0, **arguments: Any) -> Any:
+        """Sends a request and waits for its answer.
+
+        Args:
+            do: a method of `blender.worker.Studio`.
+            limit_s: after so many seconds the process is given up.
+            arguments: of that method.
+
+        Raises:
+            BlenderError: if the request failed, or the process died or hung; the next
+                request starts another, which knows of no object.
+        """
+        process = self._start()
+        assert process.stdin and process.stdout
+        try:
+            print(json.dumps({"do": do, **arguments}), file=process.stdin, flush=True)
+            ready = select.select([process.stdout], [], [], limit_s)[0]
+            line = process.stdout.readline() if ready else ""
+        except BrokenPipeError:
+            ready, line = [process.stdout], ""
+        if not line:
+            self._stop()
+            what = "died" if ready else f"did not answer in {limit_s:.0f} s"
+            log = (self.folder / "log.txt").read_text(errors="replace")
+            last = [text for text in log.splitlines() if text.strip()][-1:]
+            raise BlenderError(f"Blender {what} at {do!r}: {' '.join(last)}")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise BlenderError(answer["error"])
+        return answer["ok"]
+
+    def picture(self, do: str, **arguments: Any) -> dict[str, np.ndarray]:
+        """Asks for a picture and reads it.
+
+        Returns:
+            Channels by name, float32 `[H, W]`; a leading "ViewLayer." is left out.
+
+        Raises:
+            BlenderError: as in `ask`.
+        """
+        path = self.folder / "picture.exr"
+        path.unlink(missing_ok=True)
+        self.ask(do, path=str(path), **arguments)
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+        return {
+            name.removeprefix("ViewLayer."): np.asarray(channel.pixels, np.float32)
+            for name, channel in channels.items()
+        }

@@ -1,0 +1,146 @@
+"""`unips render --engine cycles`: PS-Wild-like sets rendered with Blender Cycles.
+
+Follows the paper (UniPS, CVPR 2022, Sec. 5): one object, one material and one
+environment per scene; rotations redrawn until the normals' entropy exceeds 4 bits; the
+outline reaches the frame; Principled BSDF; path tracing with up to 10 bounces and 256
+samples, no tone mapping; 16-bit linear images. Stop it whenever you like: started
+again, or several times at once, it only does what is left.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from unips_jax.command import InputError
+from unips_jax.cycles import assets
+from unips_jax.cycles.blender_process import Blender, find_python
+from unips_jax.cycles.lighting import LIGHTINGS
+from unips_jax.cycles.run import Settings, render_set
+from unips_jax.ps_wild_files import write_picture
+
+PRESETS = {
+    "train": {"images": 10, "training": True},
+    "test": {"images": 32},
+    "ps-wild-mini": {
+        "objects": 12,
+        "images": 10,
+        "size": 256,
+        "samples": 64,
+        "denoise": True,
+        "environments": "blender",
+        "seed": 2022,
+    },
+}
+_ENVIRONMENTS = frozenset((".hdr", ".exr"))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="unips render --engine cycles",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("-o", "--output", type=Path, required=True, help="the set's folder")
+    add("--preset", choices=sorted(PRESETS), default="test", help="(test)")
+    add("--objects", type=int, help="(6)")
+    add("--images", type=int, help="per object and lighting (of the preset)")
+    add("--lightings", nargs="+", choices=LIGHTINGS, help="(all but near)")
+    add("--size", type=int, help="in pixels (512)")
+    add("--samples", type=int, help="paths per pixel (256)")
+    add("--denoise", action=argparse.BooleanOptionalAction, help="(no)")
+    add("--perspective", type=float, help="share of such cameras (0.5)")
+    add("--seed", type=int, help="(0)")
+    add("--meshes", type=Path, help=f"folder of {' '.join(sorted(assets.MESHES))}")
+    add("--materials", type=Path, help="folder of texture sets, one folder each")
+    add("--environments", help="folder of .hdr and .exr, or 'blender' for its own")
+    add("--manifest", type=Path, help="CSV: object, material, category[, lighting]")
+    add("--threads", type=int, default=0, help="of the renderer (all cores)")
+    add("--sheet", type=Path, help="also a picture of the whole set")
+    return parser
+
+
+def _environments(given: str | None, blender: Blender) -> tuple[str, ...]:
+    if given is None:
+        return ()
+    if given == "blender":
+        return tuple(blender.ask("environments"))
+    found = assets.find_files(Path(given), _ENVIRONMENTS, "--environments")
+    return tuple(str(path.resolve()) for path in found)
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Parses the command line and renders.
+
+    Raises:
+        InputError: for bad input, and if objects had to be left out.
+    """
+    given = vars(_parser().parse_args(argv))
+    out, sheet = given.pop("output"), given.pop("sheet")
+    preset = PRESETS[given.pop("preset")]
+    chosen = {"objects": 6, "seed": 0, "environments": None, **preset}
+    chosen |= {name: value for name, value in given.items() if value is not None}
+    for name in ("objects", "images", "size", "samples"):
+        if chosen.get(name, 1) < 1:
+            raise InputError(f"--{name}: expected at least 1, got {chosen[name]}")
+    if not 0 <= chosen.get("perspective", 0) <= 1:
+        raise InputError(f"--perspective: expected 0 to 1, got {chosen['perspective']}")
+    meshes, materials = chosen.pop("meshes", None), chosen.pop("materials", None)
+    if meshes is not None:
+        meshes = assets.find_files(meshes, assets.MESHES, "--meshes")
+    if materials is not None:
+        materials = assets.find_materials(materials)
+    count, manifest = chosen.pop("objects"), chosen.pop("manifest", None)
+    if manifest is None:
+        jobs = assets.drawn_jobs(count, chosen["seed"], meshes, materials)
+    else:
+        jobs = assets.manifest_jobs(manifest, chosen["seed"], meshes, materials)
+    if "lightings" in chosen:
+        chosen["lightings"] = tuple(chosen["lightings"])
+    with Blender(find_python(), threads=chosen.pop("threads")) as blender:
+        chosen["environments"] = _environments(chosen["environments"], blender)
+        settings = Settings(**chosen)
+        render_set(blender, jobs, settings, out)
+    print(f"wrote {out}")
+    if sheet is not None:
+        write_picture(sheet, contact_sheet(out))
+        print(f"wrote {sheet}")
+
+
+def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
+    """A column per object: its normals, then two photographs under each lighting.
+
+    Args:
+        root: of a set.
+        tile: side of the pictures in pixels.
+
+    Returns:
+        RGB uint8, photographs with the sRGB curve.
+
+    Raises:
+        InputError: if the set cannot be read.
+    """
+    from unips_jax.contact_sheet import srgb_encode
+    from unips_jax.data.sources import PSWildFolders, read_object
+
+    folders = sorted(p for p in root.iterdir() if p.is_dir() and any(p.glob("*.data")))
+    rows: dict[str, list[np.ndarray]] = {}
+    for place in folders:
+        for files in list(PSWildFolders(place, min_images=1)):
+            shown = np.linspace(0, len(files.photographs) - 1, 2).astype(int)
+            read = read_object(files, shown, tile)
+            bright = srgb_encode(np.clip(read["images"], 0, 1))
+            rows.setdefault(place.name, []).append(np.concatenate(list(bright)))
+            if place == folders[0]:
+                normals = np.where(
+                    read["mask"][..., None], 0.5 * read["normals"] + 0.5, 0.25
+                )
+                rows.setdefault("", []).append(normals)
+    columns = max(map(len, rows.values()))
+    wide = [
+        np.concatenate(row + [np.zeros_like(row[0])] * (columns - len(row)), 1)
+        for _, row in sorted(rows.items())
+    ]
+    return np.rint(np.concatenate(wide) * 255).astype(np.uint8)

@@ -1,0 +1,304 @@
+"""Renders a set object by object; whatever stops it, it goes on from there."""
+
+import dataclasses
+import json
+import shutil
+import sys
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from unips_jax.claims import claim
+from unips_jax.command import InputError, track
+from unips_jax.cycles.assets import Job
+from unips_jax.cycles.blender_process import Blender, BlenderError
+from unips_jax.cycles.environments import draw_environment, read_mean_radiance
+from unips_jax.cycles.lighting import automatic_gain, draw_light
+from unips_jax.ps_wild_files import write_folder
+
+_PREVIEW = 64
+_ROTATIONS = 20
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """How a set is rendered.
+
+    Attributes:
+        lightings: folders of the set.
+        images: per object and lighting.
+        size: side in pixels.
+        samples: paths per pixel.
+        denoise: with Open Image Denoise.
+        perspective: share of objects seen in perspective, 35 mm to 200 mm equivalents.
+        min_entropy_bits: of the normals; see `scenes.geometry.normal_entropy_bits`.
+        training: files as in PS-Wild's training set, `00.tif`, instead of `L_00.png`.
+        environments: files; drawn ones if empty.
+        seed: of the set.
+    """
+
+    lightings: tuple[str, ...] = ("directional", "environment", "mixed")
+    images: int = 10
+    size: int = 512
+    samples: int = 256
+    denoise: bool = False
+    perspective: float = 0.5
+    min_entropy_bits: float = 4.0
+    training: bool = False
+    environments: tuple[str, ...] = ()
+    seed: int = 0
+
+
+class Truth(NamedTuple):
+    """What is known of an object's pixels; see `read_truth`."""
+
+    mask: np.ndarray
+    normals: np.ndarray
+    depth: np.ndarray
+    maps: dict[str, np.ndarray]
+
+
+def read_truth(channels: dict[str, np.ndarray]) -> Truth:
+    """Takes the passes of `Studio.truth` apart.
+
+    Args:
+        channels: `[H, W]` each, by name.
+
+    Returns:
+        `mask [H, W]` bool, where there is an object with a unit normal; `normals
+        [H, W, 3]`, zero outside; `depth [H, W]`, along the view axis, from the camera,
+        0 outside; `maps`: `baseColor [H, W, 3]`, `roughness` and `metal [H, W]`.
+    """
+
+    def stack(name: str, parts: str) -> np.ndarray:
+        return np.stack([channels[f"{name}.{part}"] for part in parts], -1)
+
+    normals = stack("Normal", "XYZ")
+    unit = np.abs(np.linalg.norm(normals, axis=-1) - 1) < 1e-4
+    mask = (channels["Combined.A"] > 0.5) & unit
+    maps = {"baseColor": stack("baseColor", "RGB")}
+    maps |= {name: channels[f"{name}.X"] for name in ("roughness", "metal")}
+    maps = {
+        k: v * mask.reshape(mask.shape + (1,) * (v.ndim - 2)) for k, v in maps.items()
+    }
+    normals = normals * mask[..., None]
+    depth = np.where(mask, channels["Depth.Z"], 0)
+    return Truth(mask, normals, depth, maps)
+
+
+def read_photograph(channels: dict[str, np.ndarray], mask: np.ndarray) -> np.ndarray:
+    """Radiance of the object, `[H, W, 3]`, zero outside the mask.
+
+    Pixels at the outline, which the object covers in part, are divided by that part.
+    """
+    alpha = channels["A"]
+    image = np.stack([channels[c] for c in "RGB"], -1)
+    inside = mask & (alpha > 1e-3)
+    return np.where(inside[..., None], image / np.maximum(alpha, 1e-3)[..., None], 0)
+
+
+def entropy_bits(truth: Truth) -> float:
+    """Entropy of an object's normals."""
+    from unips_jax.scenes.geometry import normal_entropy_bits
+
+    return float(normal_entropy_bits(truth.normals, truth.mask))
+
+
+def _rotation(rng: np.random.Generator, *, facing: bool) -> list[float]:
+    """A quaternion, w first: any, or within 35 degrees of facing the viewer."""
+    if facing:
+        tilt = rng.uniform(0, np.deg2rad(35)) / 2
+        axis, spin = rng.uniform(0, 2 * np.pi), rng.uniform(0, np.pi)
+        tilted = [
+            np.cos(tilt),
+            np.sin(tilt) * np.cos(axis),
+            np.sin(tilt) * np.sin(axis),
+        ]
+        w, x, y = tilted  # times a turn about z
+        c, s = np.cos(spin), np.sin(spin)
+        return [float(v) for v in (w * c, x * c + y * s, y * c - x * s, w * s)]
+    turn = rng.normal(size=4)
+    return (turn / np.linalg.norm(turn)).tolist()
+
+
+def pose(
+    blender: Blender, job: Job, settings: Settings, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Builds an object and turns it until its normals are varied enough.
+
+    Raises:
+        BlenderError: if Blender cannot build it, or no rotation will do.
+    """
+    blender.ask("build", shape=job.shape, material=job.material)
+    focal_mm = None
+    if rng.random() < settings.perspective:
+        focal_mm = float(np.exp(rng.uniform(np.log(35), np.log(200))))
+    for _ in range(_ROTATIONS):
+        rotation = _rotation(rng, facing=job.facing)
+        blender.ask("place", rotation=rotation, focal_mm=focal_mm)
+        found = entropy_bits(read_truth(blender.picture("truth", size=_PREVIEW)))
+        if found > settings.min_entropy_bits:
+            facts: dict[str, Any] = {"rotation": rotation, "entropy_bits": found}
+            facts["focal_mm"] = focal_mm
+            if focal_mm:  # in pixels, as the evaluation reads it
+                facts["focal"] = focal_mm / 36 * settings.size
+            return facts
+    raise BlenderError(
+        f"entropy of the normals: at most {settings.min_entropy_bits} bits in "
+        f"{_ROTATIONS} rotations"
+    )
+
+
+class _Photographs:
+    """Renders the photographs of one lighting; `facts` grows with them."""
+
+    def __init__(
+        self, blender: Blender, job: Job, lighting: str, settings: Settings
+    ) -> None:
+        self._blender, self._settings, self._lighting = blender, settings, lighting
+        own = (*job.seed, zlib.crc32(lighting.encode()))
+        self._rng = np.random.default_rng(own)
+        self._file, self._mean = "", 1.0
+        if lighting in ("environment", "mixed"):
+            self._file, self._mean = self._environment(f"{job.name}-{lighting}")
+        self.facts: dict[str, list[Any]] = {"lights": [], "gains": []}
+
+    def _environment(self, name: str) -> tuple[str, float]:
+        files = self._settings.environments
+        if files:
+            path = Path(files[int(self._rng.integers(len(files)))])
+        else:
+            path = self._blender.folder / f"{name}.hdr"
+            picture = draw_environment(self._rng)
+            cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1]))
+        return str(path), read_mean_radiance(path)
+
+    def render(self, mask: np.ndarray) -> Iterator[np.ndarray]:
+        s = self._settings
+        for _ in range(s.images):
+            light = draw_light(self._rng, self._lighting, self._file, self._mean)
+            channels = self._blender.picture(
+                "image",
+                size=s.size,
+                samples=s.samples,
+                denoise=s.denoise,
+                seed=int(self._rng.integers(2**31)),
+                **light,
+            )
+            radiance = read_photograph(channels, mask)
+            gain = automatic_gain(radiance, mask)
+            self.facts["lights"].append(light)
+            self.facts["gains"].append(gain)
+            yield radiance * gain
+
+    def told(self) -> dict[str, Any]:
+        facts: dict[str, Any] = dict(self.facts)
+        for light in facts["lights"]:
+            if light["environment"]:
+                light["environment"]["file"] = Path(self._file).name
+        if self._lighting == "directional":
+            lamps = [light["lamps"][0] for light in facts["lights"]]
+            facts["light_directions"] = [lamp["direction"] for lamp in lamps]
+            facts["light_intensities"] = [  # of a Lambertian surface: albedo n.l times
+                (np.array(lamp["irradiance"]) / np.pi * gain).tolist()
+                for lamp, gain in zip(lamps, facts["gains"], strict=True)
+            ]
+        return facts
+
+
+def render_object(
+    blender: Blender, job: Job, settings: Settings, folders: dict[str, Path]
+) -> None:
+    """Renders an object under several lightings, a folder each.
+
+    Args:
+        blender: renders.
+        job: the object.
+        settings: how.
+        folders: by lighting; those that exist are left alone.
+
+    Raises:
+        BlenderError: if the object cannot be rendered.
+    """
+    facts = {**job.facts, "seed": list(job.seed), "engine": "cycles"}
+    facts["versions"] = blender.ask("version")
+    facts |= pose(blender, job, settings, np.random.default_rng(job.seed))
+    truth = read_truth(blender.picture("truth", size=settings.size))
+    for lighting, folder in folders.items():
+        if folder.exists():
+            continue
+        for leftover in folder.parent.glob(f".{folder.name}.*"):
+            shutil.rmtree(leftover)  # of a run that was killed: the claim is ours
+        photographs = _Photographs(blender, job, lighting, settings)
+        images = list(photographs.render(truth.mask))
+        told = {k: getattr(settings, k) for k in ("size", "samples", "denoise")}
+        write_folder(
+            folder,
+            images,
+            truth.mask,
+            truth.normals,
+            {**facts, "light": lighting, **told, **photographs.told()},
+            maps=truth.maps,
+            depth=truth.depth,
+            name="{:02d}.tif" if settings.training else "L_{:02d}.png",
+        )
+
+
+def render_set(
+    blender: Blender, jobs: Sequence[Job], settings: Settings, out: Path
+) -> None:
+    """Renders what is missing of a set; several processes may share the work.
+
+    Args:
+        blender: renders.
+        jobs: the objects.
+        settings: how.
+        out: the set's root; receives `LIGHTING/NAME.data`, and `failures/NAME.txt`
+            for objects that could not be rendered.
+
+    Raises:
+        InputError: at the end, if there were such objects.
+    """
+    locks, failures = out / ".locks", out / "failures"
+    locks.mkdir(parents=True, exist_ok=True)
+    record = {
+        **dataclasses.asdict(settings),
+        "environments": len(settings.environments),
+    }
+    _same_settings(out / "settings.json", record)
+    failed = []
+    for job in track(jobs, "rendering"):
+        chosen = job.lightings or settings.lightings
+        folders = {name: out / name / f"{job.name}.data" for name in chosen}
+        with claim(locks / job.name) as ours:
+            if not ours or all(folder.exists() for folder in folders.values()):
+                continue
+            try:
+                render_object(blender, job, settings, folders)
+                (failures / f"{job.name}.txt").unlink(missing_ok=True)
+            except BlenderError as error:
+                failures.mkdir(exist_ok=True)
+                (failures / f"{job.name}.txt").write_text(f"{error}\n")
+                print(f"{job.name}: left out: {error}", file=sys.stderr)
+                failed.append(job.name)
+    if failed:
+        raise InputError(
+            f"{len(failed)} of {len(jobs)} objects could not be rendered "
+            f"({', '.join(failed[:5])}): see {failures}; the others are complete"
+        )
+
+
+def _same_settings(path: Path, record: dict[str, Any]) -> None:
+    """Refuses to go on with a set in another way than it was begun."""
+    text = json.dumps(record, indent=1) + "\n"
+    if not path.exists():
+        path.write_text(text)
+    elif path.read_text() != text:
+        raise InputError(
+            f"{path}: the set was begun with other settings; take another folder, or "
+            "the same settings"
+        )
