@@ -14,7 +14,7 @@ def single(tmp_path_factory):
     root = write_objects(tmp_path_factory.mktemp("ps-wild"))
     workdir = tmp_path_factory.mktemp("single")
     data = dataclasses.replace(DATA, source="folders", root=root)
-    steps = dataclasses.replace(CONFIG.train, steps=5)
+    steps = dataclasses.replace(CONFIG.train, steps=5, checkpoint_every=9)
     config = dataclasses.replace(CONFIG, data=data, train=steps)
     finish(start(workdir, config))
     return config, workdir

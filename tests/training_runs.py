@@ -23,7 +23,7 @@ CONFIG = Config(
     optim=OptimConfig(learning_rate=1e-2, ema_decay=0.9),
     train=TrainConfig(
         # Validating would compile the scenes' renderer.
-        **dict(steps=12, log_every=1, checkpoint_every=2, validation_scenes=0)
+        **dict(steps=8, log_every=1, checkpoint_every=3, validation_scenes=0)
     ),
 )
 
