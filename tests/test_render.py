@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from unips_jax import render
+from unips_jax.ps_wild_files import write_folder
 from unips_jax.scenes import Scene
 
 
@@ -27,13 +28,17 @@ def scene():
     )
 
 
+def write(folder, scene, facts):
+    write_folder(folder, scene.images, scene.mask, scene.normals, facts)
+
+
 def _read(path):
     return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
 
 
 def test_a_folder_holds_what_was_drawn(tmp_path, scene):
     folder = tmp_path / "directional" / "obj000.data"
-    render.write_folder(folder, scene, {"seed": 3})
+    write(folder, scene, {"seed": 3, **render.describe(scene)})
     names = sorted(path.name for path in folder.iterdir())
     assert names == ["L_00.png", "L_01.png", "mask.png", "meta.json", "normal.tif"]
     image = _read(folder / "L_01.png")[..., ::-1]
@@ -63,9 +68,8 @@ def test_focal_lengths_are_told_in_pixels_too(scene):
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path, scene):
-    broken = scene._replace(material=np.int32(99))
-    with pytest.raises(IndexError):
-        render.write_folder(tmp_path / "obj000.data", broken, {})
+    with pytest.raises(TypeError):
+        write(tmp_path / "obj000.data", scene, {"seed": object()})
     assert list(tmp_path.iterdir()) == []
 
 

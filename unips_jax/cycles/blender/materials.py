@@ -243,7 +243,8 @@ def build(
         bsdf = graph.node("BsdfDiffuse", {"Color": color})
         values = {"Base Color": color, "Roughness": 1.0, "Metallic": 0.0}
     else:
-        bsdf = graph.node("BsdfPrincipled", values)
+        # The paper's Blender: one scattering per facet.
+        bsdf = graph.node("BsdfPrincipled", values, distribution="GGX")
     graph.node("OutputMaterial", {"Surface": bsdf.outputs[0]})
     for name, socket in INPUTS.items():
         kind = "Color" if name == "baseColor" else "Value"

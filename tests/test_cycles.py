@@ -1,0 +1,291 @@
+"""Sets rendered with Cycles, as far as they need no Blender: a stand-in renders."""
+
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from unips_jax import render
+from unips_jax.command import InputError
+from unips_jax.cycles import assets, blender_process, lighting, run
+from unips_jax.cycles.environments import draw_environment, mean_radiance
+from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest, PSWildTrain
+
+# Answers like blender/worker.py with a sphere; misbehaves for some shapes.
+STAND_IN = """
+import json, os, sys, time
+import numpy as np, OpenEXR
+shape = None
+def sphere(size):
+    c = (np.arange(size) + 0.5) / size * 2 - 1
+    x, y = np.meshgrid(c, -c)
+    z2 = 1 - x * x - y * y
+    return x, y, np.sqrt(np.maximum(z2, 0)), z2 > 0
+for line in sys.stdin:
+    request = json.loads(line)
+    do, answer = request["do"], None
+    if do == "version":
+        answer = {"blender": "stand-in"}
+    if do == "build":
+        shape = request["shape"]["kind"]
+        if shape == "knot" and "CRASH" in os.environ:
+            os._exit(1)
+        if shape == "cut" and "FAIL" in os.environ:
+            print(json.dumps({"error": "ValueError: no faces"}), flush=True)
+            continue
+    if do in ("truth", "image"):
+        x, y, z, inside = sphere(request["size"])
+        one = inside.astype(np.float32)
+        if do == "truth":
+            channels = {"Combined.A": one, "Depth.Z": 10 - z, "Normal.X": x * one,
+                "Normal.Y": y * one, "Normal.Z": z * one, "roughness.X": 0.5 * one,
+                "metal.X": 0 * one}
+            channels |= {"baseColor." + c: 0.25 * one for c in "RGB"}
+        else:
+            time.sleep(float(os.environ.get("SLOW", 0)))
+            light = np.random.default_rng(request["seed"]).uniform(1, 2)
+            channels = {c: light * z * one for c in "RGB"} | {"A": one}
+        channels = {k: np.ascontiguousarray(v, np.float32) for k, v in channels.items()}
+        OpenEXR.File({}, channels).write(request["path"])
+    print(json.dumps({"ok": answer}), flush=True)
+"""
+SETTINGS = run.Settings(images=2, size=24)
+
+
+@pytest.fixture
+def stand_in(tmp_path, monkeypatch):
+    """A "Blender" that is this Python and the program above."""
+    script = tmp_path / "stand_in.py"
+    script.write_text(STAND_IN)
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\n[ "$1" = -c ] || exec {sys.executable} {script}\n')
+    python.chmod(python.stat().st_mode | stat.S_IEXEC)
+    monkeypatch.setenv(blender_process.VARIABLE, str(python))
+    return str(python)
+
+
+def contents(root):
+    return {
+        p.relative_to(root).as_posix(): p.read_bytes()
+        for p in sorted(root.rglob("*"))
+        if p.is_file() and ".locks" not in p.parts
+    }
+
+
+def test_a_set_is_what_the_readers_read(stand_in, tmp_path):
+    with blender_process.Blender(stand_in) as blender:
+        run.render_set(blender, assets.drawn_jobs(2, 5), SETTINGS, tmp_path / "set")
+    folder = tmp_path / "set" / "mixed" / "obj001.data"
+    names = sorted(p.name for p in folder.iterdir())
+    assert names == sorted(
+        ["L_00.png", "L_01.png", "baseColor.tif", "depth.exr", "mask.png", "meta.json"]
+        + ["metal.tif", "normal.tif", "roughness.tif"]
+    )
+    benchmark = PSWildTest(tmp_path / "set")
+    assert len(benchmark) == 6
+    item = benchmark[0]
+    assert item.tags["lighting"] == "directional" and item.tags["category"] == "Fabric"
+    c = (np.arange(24) + 0.5) / 12 - 1
+    x, y = np.meshgrid(c, -c)
+    np.testing.assert_array_equal(item.mask, x**2 + y**2 < 1)
+    np.testing.assert_allclose(item.normals[item.mask][:, 0], x[item.mask], atol=4e-5)
+    bright = np.percentile(item.images[0].max(-1)[item.mask], 99.5)
+    assert bright / 65535 == pytest.approx(0.9, abs=2e-3)
+    assert item.lights.directions.shape == (2, 3)
+    roughness = cv2.imread(str(folder / "roughness.tif"), cv2.IMREAD_UNCHANGED)
+    assert roughness.dtype == np.uint16 and roughness.max() == 32768
+    meta = json.loads((folder / "meta.json").read_text())
+    assert meta["versions"] == {"blender": "stand-in"} and len(meta["lights"]) == 2
+
+
+def test_training_sets_have_the_training_names(stand_in, tmp_path):
+    arguments = ["--preset", "train", "--objects", "1", "--images", "2"]
+    more = ["--size", "24", "--lightings", "near", "--sheet", str(tmp_path / "s.png")]
+    out = tmp_path / "set"
+    every = ["--engine", "cycles", "-o", str(out), *arguments, *more]
+    assert render.main(every) == 0
+    assert (out / "near" / "obj000.data" / "00.tif").is_file()
+    assert len(PSWildTrain(out)) == 1
+    assert cv2.imread(str(tmp_path / "s.png")).shape == (3 * 128, 128, 3)
+
+
+def test_failures_are_recorded_and_the_rest_is_rendered(
+    stand_in, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("CRASH", "1")
+    monkeypatch.setenv("FAIL", "1")
+    jobs = assets.drawn_jobs(4, 5)  # cut, displaced, knot, lathe
+    with blender_process.Blender(stand_in) as blender:
+        with pytest.raises(InputError, match="2 of 4 objects .*obj000, obj002"):
+            run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
+    said = {p.name: p.read_text() for p in (tmp_path / "set" / "failures").iterdir()}
+    assert "no faces" in said["obj000.txt"] and "died at 'build'" in said["obj002.txt"]
+    assert len(list((tmp_path / "set" / "near").parent.glob("*/*.data"))) == 6
+    monkeypatch.delenv("CRASH")
+    monkeypatch.delenv("FAIL")
+    with blender_process.Blender(stand_in) as blender:
+        run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
+    assert not any((tmp_path / "set" / "failures").iterdir())
+    assert len(list((tmp_path / "set").glob("*/*.data"))) == 12
+
+
+def test_killed_runs_go_on_and_end_with_the_same_bytes(stand_in, tmp_path):
+    arguments = ["--objects", "3", "--images", "4", "--size", "24"]
+    command = [*("-m", "unips_jax.cli", "render", "--engine", "cycles"), *arguments]
+    assert render.main([*command[3:], "-o", str(tmp_path / "whole")]) == 0
+    slow = {**os.environ, "SLOW": "0.1"}
+    out = tmp_path / "killed"
+    process = subprocess.Popen(
+        [sys.executable, *command, "-o", str(out)], env=slow, start_new_session=True
+    )
+    while len(list(out.glob("*/.obj*"))) + len(list(out.glob("*/*.data"))) < 2:
+        assert process.poll() is None
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert len(list(out.glob("*/*.data"))) < 9
+    pair = [
+        subprocess.Popen([sys.executable, *command, "-o", str(out)]) for _ in range(2)
+    ]
+    assert [p.wait(timeout=300) for p in pair] == [0, 0]
+    assert contents(out) == contents(tmp_path / "whole")
+
+
+def test_other_settings_are_refused(stand_in, tmp_path, capsys):
+    command = ["--engine", "cycles", "-o", str(tmp_path / "s"), "--objects", "1"]
+    assert render.main([*command, "--size", "24", "--images", "1"]) == 0
+    assert render.main([*command, "--size", "32", "--images", "1"]) == 2
+    assert "begun with other settings" in capsys.readouterr().err
+
+
+def test_without_blender_it_says_how_to_get_it(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv(blender_process.VARIABLE, "/bin/false")
+    assert render.main(["--engine", "cycles", "-o", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "cannot import bpy" in said and "--setup" in said
+
+
+@pytest.mark.parametrize("kind", lighting.LIGHTINGS)
+def test_lights_are_where_they_should_be(kind):
+    rng = np.random.default_rng(1)
+    lights = [lighting.draw_light(rng, kind, "x.hdr", 2.0) for _ in range(200)]
+    for light in lights:
+        assert bool(light["environment"]) == (kind in ("environment", "mixed"))
+        assert bool(light["lamps"]) == (kind != "environment")
+    if kind == "environment":
+        assert lights[0]["environment"]["strength"] == 0.5
+    else:
+        key = "position" if kind == "near" else "direction"
+        places = np.array([light["lamps"][0][key] for light in lights])
+        distance = np.linalg.norm(places, axis=1)
+        assert np.all(places[:, 2] / distance > np.cos(np.deg2rad(75.01)))
+        if kind != "near":
+            np.testing.assert_allclose(distance, 1)
+
+
+def test_gain_puts_the_bright_pixels_below_one():
+    mask = np.ones((40, 40), bool)
+    radiance = np.linspace(0, 7, 1600).reshape(40, 40, 1) * [1, 0.5, 0.2]
+    gain = lighting.automatic_gain(radiance, mask)
+    assert np.percentile(radiance[..., 0] * gain, 99.5) == pytest.approx(0.9)
+    assert lighting.automatic_gain(0 * radiance, mask) == 1
+
+
+def test_environments_are_finite_and_differ():
+    drawn = [draw_environment(np.random.default_rng(i)) for i in range(8)]
+    for picture in drawn:
+        assert picture.shape == (256, 512, 3) and picture.dtype == np.float32
+        assert np.isfinite(picture).all() and picture.min() >= 0
+        # The seam is no step: it differs no more than columns usually do.
+        across = np.abs(np.diff(picture, axis=1)).mean()
+        assert np.abs(picture[:, 0] - picture[:, -1]).mean() < 20 * across
+    assert len({picture.tobytes() for picture in drawn}) == 8
+    assert mean_radiance(np.full((16, 32, 3), 0.5)) == pytest.approx(0.5)
+
+
+def test_objects_do_not_depend_on_the_rest_of_the_set():
+    assert assets.drawn_jobs(3, 1) == assets.drawn_jobs(9, 1)[:3]
+    assert assets.drawn_jobs(3, 1) != assets.drawn_jobs(3, 2)
+
+
+def test_manifests_name_objects_materials_and_lightings(tmp_path):
+    (tmp_path / "cow.obj").write_text("")
+    maps = tmp_path / "tex" / "Fabric" / "linen"
+    maps.mkdir(parents=True)
+    for name in ("linen_basecolor.png", "linen_metal_roughness.png"):
+        (maps / name).write_bytes(b"")
+    found = assets.find_materials(tmp_path / "tex")
+    assert found["linen"]["category"] == "Fabric"
+    assert sorted(found["linen"]["maps"]) == ["baseColor", "roughness"]
+    listed = tmp_path / "list.csv"
+    listed.write_text(
+        "id,object,material,category,lighting\n7,cow,linen,Fabric,near\n"
+        "8,pig,oak,Wood,\n9,pig,gold,Metal,\n"
+    )
+    jobs = assets.manifest_jobs(listed, 0, [tmp_path / "cow.obj"], found)
+    assert [job.name for job in jobs] == [
+        "007-cow-linen",
+        "008-pig-oak",
+        "009-pig-gold",
+    ]
+    assert jobs[0].shape["file"].endswith("cow.obj") and jobs[0].lightings == ("near",)
+    assert jobs[0].material is found["linen"] and jobs[1].lightings is None
+    assert jobs[1].shape == jobs[2].shape and jobs[1].material != jobs[2].material
+
+
+def test_the_papers_list_is_a_manifest():
+    from unips_jax.evaluation.benchmarks import ps_wild
+
+    jobs = assets.manifest_jobs(Path(ps_wild.__file__).with_name("ps_wild_test.csv"), 0)
+    assert len({job.name for job in jobs}) == 50
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("object,material\na,b\n", "line 2: expected object, material and category"),
+        ("object,material,category\na,b,Glass\n", "expected one of Fabric.*'Glass'"),
+        ("object,material,category\n", "expected lines of objects"),
+    ],
+)
+def test_bad_manifests_are_named(tmp_path, text, message):
+    path = tmp_path / "list.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        assets.manifest_jobs(path, 0)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["--size", "0"], "--size: expected at least 1, got 0"),
+        (["--perspective", "2"], "--perspective: expected 0 to 1"),
+        (["--meshes", "."], "--meshes .: expected files .blend"),
+        (["--materials", "."], "--materials .: expected files"),
+    ],
+)
+def test_bad_arguments_are_named(monkeypatch, tmp_path, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert render.main(["--engine", "cycles", "-o", "x", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("facing", [True, False])
+def test_rotations_are_quaternions(facing):
+    rng = np.random.default_rng(0)
+    turns = np.array([run._rotation(rng, facing=facing) for _ in range(300)])
+    np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1, atol=1e-9)
+    w, x, y, z = turns.T
+    towards = 1 - 2 * (x * x + y * y)  # where the z axis goes
+    if facing:
+        assert towards.min() >= np.cos(np.deg2rad(35)) - 1e-9
+    else:
+        assert towards.min() < -0.5
