@@ -1,5 +1,8 @@
 """Every reader on miniature sets in the published layouts, to the pixel."""
 
+import struct
+
+import cv2
 import evaluation_data as data
 import numpy as np
 import OpenEXR
@@ -286,6 +289,20 @@ def test_plain_folder(tmp_path, mask):
     np.testing.assert_array_equal(item.mask, expected)
     single = open_benchmark("folder", tmp_path / "shoe")
     assert len(single) == 1 and single[0].images.shape[1:3] == (20, 21)
+
+
+def test_plain_folder_takes_the_focal_length_from_exif(tmp_path):
+    _, normals = data.sphere(9, 11)
+    data.write_image(tmp_path / "normal.png", data.to16((normals + 1) / 2))
+    jpeg = cv2.imencode(".jpg", np.full((9, 11, 3), 90, np.uint8))[1].tobytes()
+    entry = struct.pack("<HHIHH", 0xA405, 3, 1, 50, 0)  # 50 mm, 35 mm equivalent
+    pointer = struct.pack("<HHII", 0x8769, 4, 1, 26)
+    tiff = b"II*\0\10\0\0\0\1\0" + pointer + b"\0\0\0\0\1\0" + entry + b"\0\0\0\0"
+    body = b"Exif\0\0" + tiff
+    segment = b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
+    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
+    item = open_benchmark("folder", tmp_path)[0]
+    assert item.focal == pytest.approx(50 / np.hypot(36, 24) * np.hypot(9, 11))
 
 
 def test_plain_folder_with_exr_truth_and_grey_photographs(tmp_path):

@@ -14,6 +14,7 @@ JPEG and PNG must have their end markers.
 
 import contextlib
 import io
+import math
 import os
 import re
 import struct
@@ -39,6 +40,9 @@ _JPEG_END = b"\xff\xd9"
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xae\x42\x60\x82"
 _ORIENTATION_TAG = 0x0112
+_EXIF_TAG = 0x8769
+_FOCAL_35MM_TAG = 0xA405
+_DIAGONAL_MM = math.hypot(36, 24)
 
 
 def read_image(path: Path) -> np.ndarray:
@@ -82,13 +86,31 @@ def exif_orientation(path: Path) -> int:
     Args:
         path: the file; other formats give 1.
     """
+    value = _exif(path).get(_ORIENTATION_TAG, 1)
+    return value if 1 <= value <= 8 else 1
+
+
+def exif_focal(path: Path, height: int, width: int) -> float | None:
+    """The focal length in a JPEG's EXIF data, in pixels; None where there is none.
+
+    Args:
+        path: the file; other formats give None.
+        height: of the image in pixels.
+        width: likewise. The 35 mm equivalent refers to the images' diagonals.
+    """
+    equivalent = _exif(path).get(_FOCAL_35MM_TAG, 0)
+    return equivalent / _DIAGONAL_MM * math.hypot(height, width) or None
+
+
+def _exif(path: Path) -> dict[int, int]:
+    """Integers among a JPEG's EXIF data, by tag."""
     with contextlib.suppress(OSError), path.open("rb") as file:
         data = file.read(1 << 18)
         for marker, start, end in _jpeg_segments(data):
             if marker == 0xE1 and data[start : start + 6] == b"Exif\0\0":
                 with contextlib.suppress(struct.error, KeyError):
-                    return _tiff_orientation(data[start + 6 : end])
-    return 1
+                    return _tiff_tags(data[start + 6 : end])
+    return {}
 
 
 def _checked(path: Path, image: np.ndarray) -> np.ndarray:
@@ -206,12 +228,19 @@ def _jpeg_ends(data: bytes) -> bool:
     return False
 
 
-def _tiff_orientation(data: bytes) -> int:
+def _tiff_tags(data: bytes) -> dict[int, int]:
+    """The 16- and 32-bit integers of the first directory and the EXIF one."""
     order = {b"II": "<", b"MM": ">"}[data[:2]]
-    (offset,) = struct.unpack_from(order + "I", data, 4)
-    (count,) = struct.unpack_from(order + "H", data, offset)
-    for entry in range(offset + 2, offset + 2 + 12 * count, 12):
-        tag, _, _, value = struct.unpack_from(order + "HHIH", data, entry)
-        if tag == _ORIENTATION_TAG:
-            return value if 1 <= value <= 8 else 1
-    return 1
+    found: dict[int, int] = {}
+    (first,) = struct.unpack_from(order + "I", data, 4)
+    for pointer in (None, _EXIF_TAG):
+        offset = first if pointer is None else found.get(pointer)
+        if offset is None:
+            break
+        (count,) = struct.unpack_from(order + "H", data, offset)
+        for entry in range(offset + 2, offset + 2 + 12 * count, 12):
+            tag, kind, _ = struct.unpack_from(order + "HHI", data, entry)
+            if kind in (3, 4):
+                code = order + ("H" if kind == 3 else "I")
+                (found[tag],) = struct.unpack_from(code, data, entry + 8)
+    return found

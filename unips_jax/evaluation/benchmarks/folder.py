@@ -8,6 +8,7 @@ import numpy as np
 from unips_jax.command import InputError
 from unips_jax.evaluation.benchmarks import files, images
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
+from unips_jax.image_files import exif_focal
 
 _TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
 
@@ -22,7 +23,8 @@ class Folder(Benchmark):
     the object's pixels are those whose true normal has unit length (to 1e-3 in 16 bits
     or more, to 0.05 in 8). Files named like masks, truth, depth or materials are never
     taken for photographs. Photographs are read as linear; grey ones are repeated over
-    the channels, transparency is ignored.
+    the channels, transparency is ignored. The focal length is taken from the first
+    photograph's EXIF data, where it carries one.
     """
 
     name = "folder"
@@ -71,8 +73,10 @@ class Folder(Benchmark):
                     f"{entry.files[1]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
                     f"{path.name} has {normals.shape[1]} x {normals.shape[0]}"
                 )
-            return Truth(mask, normals)
-        return Truth(_unit(path, normals), normals)
+        else:
+            mask = _unit(path, normals)
+        focal = exif_focal(entry.images[0], *mask.shape)
+        return Truth(mask, normals, focal=focal)
 
 
 def _unit(path: Path, normals: np.ndarray) -> np.ndarray:
