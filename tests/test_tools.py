@@ -49,3 +49,23 @@ def test_refusals_are_one_line(convert, tmp_path, capsys):
     assert "expected one file *_enc.pytmodel" in errors[0]
     assert "GCNet.pth: expected a torch state dict" in errors[1]
     assert not output.exists()
+
+
+@pytest.mark.slow
+def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
+    from unips_jax.baselines.calibrated import woodham
+    from unips_jax.baselines.gcnet import gcnet
+
+    monkeypatch.syspath_prepend(TOOLS)
+    tool = runpy.run_path(str(TOOLS / "train_gcnet.py"))
+    output = tmp_path / "gcnet.safetensors"
+    argv = ["train_gcnet.py", "-o", str(output), "--steps", "2", "--objects", "2"]
+    monkeypatch.setattr("sys.argv", argv)
+    monkeypatch.setitem(tool["main"].__globals__, "held_out", lambda params: {})
+    tool["main"]()
+    y, x = np.mgrid[1:-1:32j, -1:1:32j]
+    z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
+    images = np.repeat(np.stack([z, z + 0.5 * x, z + 0.5 * y])[..., None], 3, -1)
+    found = gcnet(output, normals=woodham())(np.maximum(images, 0), z > 0)
+    lengths = np.linalg.norm(found.normals[z > 0], axis=-1)
+    np.testing.assert_allclose(lengths, 1, atol=1e-5)

@@ -6,8 +6,8 @@ Renders 6 objects under three lightings with 10 images of 256 x 256 each, and co
 UniPS with the paper's competitors, the classical methods and both floors. Started
 again, it only does what is left. What differs from the paper: the data (rendered here,
 not PS-Wild-Test), the weights of UniPS (ours), and MPM (our reconstruction); the
-report's section "What the methods are" says so again. GCNet takes part once weights
-are given: the authors', converted, or those of `tools/train_gcnet.py`.
+report's section "What the methods are" says so again. GCNet takes part with our own
+weights of half the width; `--gcnet FILE` adds the authors', converted.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from pathlib import Path
 from unips_jax import eval as evaluation
 from unips_jax import render
 
-METHODS = ("unips", "mpm", "mpm:sign=oracle", "variational", "classical")
+METHODS = "unips gcnet-small mpm mpm:sign=oracle variational classical".split()
 
 
 def main() -> None:
@@ -33,7 +33,7 @@ def main() -> None:
     size = ("--images", "10", "--size", "256", "--seed", "8")
     made = ("-o", str(scenes), "--objects", str(arguments.objects), *size)
     gcnet = (f"gcnet:weights={arguments.gcnet},normals=woodham",)
-    methods = METHODS + (gcnet if arguments.gcnet else ())
+    methods = (*METHODS, *(gcnet if arguments.gcnet else ()))
     compared = (
         *("--benchmark", "ps-wild", "--root", str(scenes)),
         *("--workdir", str(arguments.out / "evaluation")),

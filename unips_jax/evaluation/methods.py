@@ -26,6 +26,9 @@ from unips_jax.command import InputError
 from unips_jax.evaluation.store import code_hash
 
 
+SMALL_GCNET = Path(__file__).parents[1] / "assets" / "gcnet_small.safetensors"
+
+
 class Baseline(NamedTuple):
     """Where a baseline is.
 
@@ -50,6 +53,12 @@ BASELINES: dict[str, Baseline] = {
         "lights estimated, then normals by a calibrated method",
         *("gcnet", "gcnet"),
         weights=True,
+    ),
+    "gcnet-small": Baseline(
+        "GCNet architecture (Chen et al., ECCV 2020) at half the width, our weights, "
+        "not the authors': lights estimated, then normals by least squares",
+        *("gcnet", "gcnet"),
+        {"weights": str(SMALL_GCNET), "normals": "woodham"},
     ),
     "lcnet": Baseline(
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
@@ -222,8 +231,9 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     oracle = options.get("sign") == "oracle"
     if oracle:
         del options["sign"]
-    hashed = {key: _file_hash(value) for key, value in options.items()}
     told = dict(options)
+    options = {**baseline.fixed, **options}
+    hashed = {key: _file_hash(value) for key, value in options.items()}
     if "normals" in options:
         options["normals"] = _calibrated(str(options["normals"]))
     try:
@@ -232,7 +242,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     except (ModuleNotFoundError, AttributeError) as error:
         raise InputError(f"method {name!r} is not in this version") from error
     try:
-        method = factory(**{**baseline.fixed, **options})
+        method = factory(**options)
     except (TypeError, ValueError) as error:
         raise InputError(f"method {request!r}: {error}") from error
     key = {
