@@ -83,10 +83,10 @@ def render_folders(
         )
         scene = jax.tree.map(lambda leaf: leaf[0], batch)
         facts = {"seed": seed, "object": index, "size": size, **describe(scene)}
-        images, mask, normals = map(
+        photographs, mask, normals = map(
             np.asarray, (scene.images, scene.mask, scene.normals)
         )
-        write_folder(folder, images, mask, normals, facts)
+        write_folder(folder, photographs, mask, normals, facts)
 
 
 def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:

@@ -10,6 +10,7 @@ again, or several times at once, it only does what is left.
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from unips_jax.cycles.lighting import LIGHTINGS
 from unips_jax.cycles.run import Settings, render_set
 from unips_jax.ps_wild_files import write_picture
 
-PRESETS = {
+PRESETS: dict[str, dict[str, Any]] = {
     "train": {"images": 10, "training": True},
     "test": {"images": 32},
     "ps-wild-mini": {
@@ -80,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     given = vars(_parser().parse_args(argv))
     out, sheet = given.pop("output"), given.pop("sheet")
     preset = PRESETS[given.pop("preset")]
-    chosen = {"objects": 6, "seed": 0, "environments": None, **preset}
+    chosen: dict[str, Any] = {"objects": 6, "seed": 0, "environments": None, **preset}
     chosen |= {name: value for name, value in given.items() if value is not None}
     for name in ("objects", "images", "size", "samples"):
         if chosen.get(name, 1) < 1:
@@ -128,7 +129,8 @@ def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
     folders = sorted(p for p in root.iterdir() if p.is_dir() and any(p.glob("*.data")))
     rows: dict[str, list[np.ndarray]] = {}
     for place in folders:
-        for files in list(PSWildFolders(place, min_images=1)):
+        source = PSWildFolders(place, min_images=1)
+        for files in (source[i] for i in range(len(source))):
             shown = np.linspace(0, len(files.photographs) - 1, 2).astype(int)
             read = read_object(files, shown, tile)
             bright = srgb_encode(np.clip(read["images"], 0, 1))

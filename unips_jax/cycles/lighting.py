@@ -63,12 +63,11 @@ def draw_light(
         position = distance * _direction(rng)
         tint = 1 - rng.uniform(0, 0.3, 3)
         # A flat lamp facing the origin there gives power / (pi distance^2).
-        power = math.pi**2 * distance**2 * tint
         lamps = [
             {
                 "kind": "area",
                 "position": position.tolist(),
-                "power": power.tolist(),
+                "power": (math.pi**2 * distance**2 * tint).tolist(),
                 "side": rng.uniform(0.1, 0.6),
             }
         ]

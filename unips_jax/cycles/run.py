@@ -103,9 +103,12 @@ def read_photograph(channels: dict[str, np.ndarray], mask: np.ndarray) -> np.nda
 
 def entropy_bits(truth: Truth) -> float:
     """Entropy of an object's normals."""
+    import jax.numpy as jnp
+
     from unips_jax.scenes.geometry import normal_entropy_bits
 
-    return float(normal_entropy_bits(truth.normals, truth.mask))
+    normals, mask = jnp.asarray(truth.normals), jnp.asarray(truth.mask)
+    return float(normal_entropy_bits(normals, mask))
 
 
 def _rotation(rng: np.random.Generator, *, facing: bool) -> list[float]:

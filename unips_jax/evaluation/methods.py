@@ -25,7 +25,6 @@ from unips_jax.baselines.method import Lights, Method
 from unips_jax.command import InputError
 from unips_jax.evaluation.store import code_hash
 
-
 SMALL_GCNET = Path(__file__).parents[1] / "assets" / "gcnet_small.safetensors"
 
 
