@@ -12,7 +12,7 @@ import pytest
 from flax.traverse_util import flatten_dict
 
 from unips_jax import estimate_normals, ops
-from unips_jax.losses import object_loss
+from unips_jax.losses import object_losses
 from unips_jax.metrics import angular_error_deg
 from unips_jax.models.unips import UniPS
 from unips_jax.weights import from_official, official_name
@@ -110,21 +110,17 @@ def test_normals_of_all_pixels(official, golden):
 def mean_loss(params, config, golden):
     """The loss as the authors sum it, over all masked pixels, without dropout."""
 
-    def one(images, mask, normals):
-        loss, _ = object_loss(
-            params,
-            images,
-            mask > 0,
-            normals,
-            jax.random.key(0),
-            config=config,
-            num_pixels=48 * 48,
-            deterministic=True,
-        )
-        return loss
-
-    arrays = (golden[name] for name in ("images", "mask", "normals"))
-    return jnp.sum(jax.vmap(one)(*arrays))
+    losses, _ = object_losses(
+        params,
+        golden["images"],
+        golden["mask"] > 0,
+        golden["normals"],
+        jax.random.split(jax.random.key(0), len(golden["images"])),
+        config=config,
+        num_pixels=48 * 48,
+        deterministic=True,
+    )
+    return jnp.sum(losses)
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from unips_jax.estimation import (
     normalize_images,
     square_frame,
 )
-from unips_jax.losses import object_loss
+from unips_jax.losses import object_losses
 from unips_jax.weights import init_params
 
 CONFIGS = {
@@ -100,16 +100,16 @@ def golden_arrays(config: ModelConfig) -> dict[str, np.ndarray]:
     @jax.jit
     def loss(params):
         return jax.value_and_grad(
-            lambda params: object_loss(
+            lambda params: object_losses(
                 params,
-                jnp.asarray(images),
-                jnp.asarray(mask),
-                jnp.asarray(normals),
-                jax.random.key(0),
+                jnp.asarray(images)[None],
+                jnp.asarray(mask)[None],
+                jnp.asarray(normals)[None],
+                jax.random.split(jax.random.key(0), 1),
                 config=config,
                 num_pixels=mask.size,
                 deterministic=True,
-            )[0]
+            )[0][0]
         )(params)
 
     value, gradients = loss(params)

@@ -9,7 +9,7 @@ import optax
 from jax import Array
 
 from unips_jax.config import Config
-from unips_jax.losses import object_loss
+from unips_jax.losses import object_losses
 from unips_jax.optim import make_optimizer
 from unips_jax.train_state import TrainState
 
@@ -86,24 +86,17 @@ def batch_loss(
     data = config.data
     num_images = batch["images"].shape[1]
 
-    def one(images: Array, mask: Array, normals: Array, key: Array):
-        augment_key, loss_key = jax.random.split(key)
-        if data.augment:
-            images, mask, normals = augment(images, mask, normals, augment_key)
-        return object_loss(
-            params,
-            images,
-            mask,
-            normals,
-            loss_key,
-            config=config.model,
-            num_pixels=data.pixels_for(num_images),
-            grid_loss=data.grid_loss,
-        )
-
-    keys = jax.random.split(key, batch["images"].shape[0])
-    losses, metrics = jax.vmap(one)(
-        batch["images"], batch["mask"], batch["normals"], keys
+    objects = batch["images"], batch["mask"], batch["normals"]
+    keys = jax.random.split(key, (2, batch["images"].shape[0]))
+    if data.augment:
+        objects = jax.vmap(augment)(*objects, keys[0])
+    losses, metrics = object_losses(
+        params,
+        *objects,
+        keys[1],
+        config=config.model,
+        num_pixels=data.pixels_for(num_images),
+        grid_loss=data.grid_loss,
     )
     return jnp.mean(losses), jax.tree.map(jnp.mean, metrics)
 

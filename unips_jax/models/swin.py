@@ -174,13 +174,7 @@ class PatchMerging(nn.Module):
         x = jnp.pad(x, ((0, 0), (0, h % 2), (0, w % 2), (0, 0)))
         corners = [x[:, i::2, j::2] for i, j in ((0, 0), (1, 0), (0, 1), (1, 1))]
         x = layer_norm(self.dtype, "norm")(jnp.concatenate(corners, axis=-1))
-        return nn.Dense(
-            2 * c,
-            use_bias=False,
-            dtype=self.dtype,
-            kernel_init=truncated_normal(),
-            name="reduction",
-        )(x)
+        return dense(2 * c, self.dtype, "reduction", use_bias=False)(x)
 
 
 class SwinStage(nn.Module):

@@ -2,7 +2,7 @@
 
 Source: "Universal Photometric Stereo Network using Global Lighting Contexts" (Ikehata,
 CVPR 2022), Sec. 4 and supplement. An object's images are one set of N; batches of
-objects are a `jax.vmap` away. `valid` `[N]` marks the images that count, so that sets
+objects are leading axes. `valid` `[N]` marks the images that count, so that sets
 can be padded; padding never changes a result.
 """
 
@@ -68,49 +68,71 @@ class Encoder(nn.Module):
         """Computes the contexts.
 
         Args:
-            images: `[N, s, s, 4]`, normalised RGB and mask.
+            images: `[..., N, s, s, 4]`, normalised RGB and mask.
             valid: `[N]`, bool, or None where all images count.
             deterministic: no dropout.
 
         Returns:
-            `[N, s/4, s/4, context_dim]`.
+            `[..., N, s/4, s/4, context_dim]`.
         """
-        maps = self.extract(images, valid, deterministic)
+        *sets, height, width, channels = images.shape
+        flat = images.reshape(-1, height, width, channels)
+        rest = (valid, deterministic, sets[-1])
+        maps = self.extract(flat, *rest)
         if self.config.communication == "pre":
-            maps = [
-                self.communicate(level, i, valid, deterministic)
-                for i, level in enumerate(maps)
-            ]
+            maps = [self.communicate(level, i, *rest) for i, level in enumerate(maps)]
         contexts = self.fuse(maps)
         if self.config.communication == "post":
-            contexts = self.communicate(contexts, 0, valid, deterministic)
-        return contexts
+            contexts = self.communicate(contexts, 0, *rest)
+        return contexts.reshape(*sets, *contexts.shape[1:])
 
     def extract(
-        self, images: Array, valid: Array | None = None, deterministic: bool = True
+        self,
+        images: Array,
+        valid: Array | None = None,
+        deterministic: bool = True,
+        num_images: int | None = None,
     ) -> list[Array]:
-        """Runs the backbone: `[N, s, s, 4]` to maps `[N, s/4/2**i, ..., C_i]`.
+        """Runs the backbone: `[M, s, s, 4]` to maps `[M, s/4/2**i, ..., C_i]`.
 
-        `valid` matters for communication "during" only.
+        `valid` and `num_images` (see `communicate`) matter for communication "during"
+        only.
         """
         x = self.patch_embed(images.astype(self.config.dtype))
         maps = []
         for i, stage in enumerate(self.stages):
             x = stage(x, deterministic)
             if self.config.communication == "during":
-                x = self.communicate(x, i, valid, deterministic)
+                x = self.communicate(x, i, valid, deterministic, num_images)
             maps.append(self.norms[i](x))
             if i < len(self.mergings):
                 x = self.mergings[i](x)
         return maps
 
     def communicate(
-        self, level: Array, index: int, valid: Array | None, deterministic: bool = True
+        self,
+        level: Array,
+        index: int,
+        valid: Array | None,
+        deterministic: bool = True,
+        num_images: int | None = None,
     ) -> Array:
-        """Lets the images exchange features at every pixel: `[N, ..., C]` to same."""
-        sets = jnp.moveaxis(level, 0, -2)  # [..., N, C]
+        """Lets the images of a set exchange features at every pixel.
+
+        Args:
+            level: `[M, ..., C]`.
+            index: which map it is.
+            valid: `[N]`, bool, or None.
+            deterministic: no dropout.
+            num_images: N; every N images in a row are a set. None: all are one set.
+
+        Returns:
+            As `level`.
+        """
+        sets = level.reshape(-1, num_images or len(level), *level.shape[1:])
+        sets = jnp.moveaxis(sets, 1, -2)  # [..., N, C]
         sets = self.communications[index](sets, valid, deterministic)
-        return jnp.moveaxis(sets, -2, 0)
+        return jnp.moveaxis(sets, -2, 1).reshape(level.shape)
 
     def fuse(self, maps: Sequence[Array]) -> Array:
         """Fuses the maps of each image: `[N, s/4, s/4, context_dim]`."""
