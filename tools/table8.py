@@ -6,8 +6,8 @@ Renders 6 objects under three lightings with 10 images of 256 x 256 each, and co
 UniPS with the paper's competitors, the classical methods and both floors. Started
 again, it only does what is left. What differs from the paper: the data (rendered here,
 not PS-Wild-Test), the weights of UniPS (ours), and MPM (our reconstruction); the
-report's section "What the methods are" says so again. GCNet takes part with our own
-weights of half the width; `--gcnet FILE` adds the authors', converted.
+report's section "What the methods are" says so again. GCNet takes part once weights
+are given: the authors', converted, or those of `tools/train_gcnet.py`.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from pathlib import Path
 from unips_jax import eval as evaluation
 from unips_jax import render
 
-METHODS = "unips gcnet-small mpm mpm:sign=oracle variational classical".split()
+METHODS = "unips mpm mpm:sign=oracle variational classical".split()
 
 
 def main() -> None:

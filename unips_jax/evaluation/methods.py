@@ -25,8 +25,6 @@ from unips_jax.baselines.method import Lights, Method
 from unips_jax.command import InputError
 from unips_jax.evaluation.store import code_hash
 
-SMALL_GCNET = Path(__file__).parents[1] / "assets" / "gcnet_small.safetensors"
-
 
 class Baseline(NamedTuple):
     """Where a baseline is.
@@ -52,12 +50,6 @@ BASELINES: dict[str, Baseline] = {
         "lights estimated, then normals by a calibrated method",
         *("gcnet", "gcnet"),
         weights=True,
-    ),
-    "gcnet-small": Baseline(
-        "GCNet architecture (Chen et al., ECCV 2020) at half the width, our weights, "
-        "not the authors': lights estimated, then normals by least squares",
-        *("gcnet", "gcnet"),
-        {"weights": str(SMALL_GCNET), "normals": "woodham"},
     ),
     "lcnet": Baseline(
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
