@@ -8,6 +8,8 @@ to two: first the first lighting network, and the normal network under true ligh
 everything end to end. The scenes are single directional lights of the training
 distribution, 64 x 64; the last tenth of the steps sees them enlarged to 128 x 128, the
 size the lighting networks are used at. Prints errors of held-out lights at the end.
+Stopped and started again, it goes on from the last multiple of 50 steps, kept beside
+the output as `*.part`.
 """
 
 import argparse
@@ -19,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from flax.serialization import from_bytes, to_bytes
 from jax import Array
 
 from unips_jax.baselines.gcnet_lights import Logits, encode, light_errors, soft_lights
@@ -123,8 +126,11 @@ def last_stage(params: Any, batch: dict[str, Array]) -> Array:
     )
 
 
-def train(steps: int, objects: int, seed: int) -> dict[str, Any]:
-    """Trains for `steps` steps of `objects` objects with 8 images each."""
+def train(steps: int, objects: int, seed: int, kept: Path) -> dict[str, Any]:
+    """Trains for `steps` steps of `objects` objects with 8 images each.
+
+    The state is kept in a file, and taken from it if it is there.
+    """
     key = jax.random.key(seed)
     empty = jnp.zeros((1, 2, SIZE, SIZE, 3)), jnp.zeros((1, SIZE, SIZE))
     params = jax.jit(NET.init)(key, *empty)["params"]
@@ -142,7 +148,11 @@ def train(steps: int, objects: int, seed: int) -> dict[str, Any]:
         return optax.apply_updates(params, updates), state, loss
 
     losses: list[Array] = []
-    for index in range(steps):
+    done = 0
+    if kept.exists():
+        tree = (params, state, done)
+        params, state, done = from_bytes(tree, kept.read_bytes())
+    for index in range(done, steps):
         batch = draw(jax.random.fold_in(key, index), objects=objects, images=8)
         stage = first_stage if index < steps // 2 else last_stage
         params, state, loss = step(
@@ -152,6 +162,9 @@ def train(steps: int, objects: int, seed: int) -> dict[str, Any]:
         if index % 50 == 49:
             mean = float(jnp.mean(jnp.stack(losses[-50:])))
             print(f"step {index + 1}/{steps}: loss {mean:.3f}", flush=True)
+            partial = kept.with_suffix(".new")
+            partial.write_bytes(to_bytes((params, state, index + 1)))
+            partial.replace(kept)
     return params
 
 
@@ -182,10 +195,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     keep_compiled()
-    params = train(arguments.steps, arguments.objects, arguments.seed)
+    kept = arguments.output.with_suffix(".part")
+    params = train(arguments.steps, arguments.objects, arguments.seed, kept)
     half = jax.tree.map(lambda x: np.asarray(x, np.float16), params)
     print(held_out(jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), half)))
     save_params(arguments.output, half, "gcnet")
+    kept.unlink(missing_ok=True)
 
 
 if __name__ == "__main__":
