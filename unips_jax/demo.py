@@ -1,7 +1,8 @@
 """`unips demo`: normals of the bundled object, compared with the truth.
 
-The object is a scene of `unips render`, eight photographs under different light, from a
-key that training never uses.
+The object was rendered with Blender Cycles, eight photographs under a lamp and a
+turning environment: `unips render --engine cycles --objects 2 --images 8 --size 192
+--samples 64 --denoise --environments blender --lightings mixed --seed 11`.
 """
 
 import argparse
