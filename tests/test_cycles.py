@@ -137,6 +137,19 @@ def test_failures_are_recorded_and_the_rest_is_rendered(
     assert len(list((tmp_path / "set").glob("*/*.data"))) == 12
 
 
+def test_a_bad_environment_costs_one_lighting(stand_in, tmp_path, capsys):
+    around = tmp_path / "around"
+    around.mkdir()
+    (around / "sky.hdr").write_bytes(b"not a picture")
+    command = ["--engine", "cycles", "-o", str(tmp_path / "set"), "--objects", "2"]
+    more = ["--size", "24", "--images", "1", "--environments", str(around)]
+    assert render.main([*command, *more]) == 2
+    assert "2 of 2 objects could not be rendered" in capsys.readouterr().err
+    failures = tmp_path / "set" / "failures"
+    assert "sky.hdr" in (failures / "obj000.txt").read_text()
+    assert len(list((tmp_path / "set" / "directional").glob("*.data"))) == 2
+
+
 def test_killed_runs_go_on_and_end_with_the_same_bytes(stand_in, tmp_path):
     arguments = ["--objects", "3", "--images", "4", "--size", "24"]
     command = [*("-m", "unips_jax.cli", "render", "--engine", "cycles"), *arguments]

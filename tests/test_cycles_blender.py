@@ -4,6 +4,8 @@ Needs a Python with `bpy` (`UNIPS_BPY_PYTHON`); skipped without, unless
 `UNIPS_REQUIRE_BPY` is set.
 """
 
+import base64
+import json
 import os
 import signal
 import subprocess
@@ -201,13 +203,54 @@ PLY = (
 )
 
 
+def stl() -> str:
+    corners = np.eye(4, 3, -1)
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    lines = ["solid a"]
+    for face in faces:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += ["vertex {:g} {:g} {:g}".format(*corners[i]) for i in face]
+        lines += ["endloop", "endfacet"]
+    return "\n".join([*lines, "endsolid a", ""])
+
+
+def gltf() -> str:
+    """A tetrahedron in one text file."""
+    corners = np.eye(4, 3, -1, dtype=np.float32)
+    faces = np.array([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3], np.uint16)
+    data = corners.tobytes() + faces.tobytes()
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    views = [(0, corners.nbytes), (corners.nbytes, faces.nbytes)]
+    accessors = [
+        {"componentType": 5126, "count": 4, "type": "VEC3", "min": [0] * 3},
+        {"componentType": 5123, "count": 12, "type": "SCALAR"},
+    ]
+    accessors[0]["max"] = [1] * 3
+    primitive = {"attributes": {"POSITION": 0}, "indices": 1}
+    content = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"uri": uri, "byteLength": len(data)}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": offset, "byteLength": length}
+            for offset, length in views
+        ],
+        "accessors": [{"bufferView": i, **a} for i, a in enumerate(accessors)],
+        "meshes": [{"primitives": [primitive]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    return json.dumps(content)
+
+
 def test_meshes_and_textures_of_the_user(blender, tmp_path):
     picture = np.zeros((8, 8, 3), np.uint8)
     picture[..., 1] = 255
     cv2.imwrite(str(tmp_path / "x_basecolor.png"), picture)
     cv2.imwrite(str(tmp_path / "x_roughness.png"), np.full((8, 8), 51, np.uint8))
     maps = assets.find_materials(tmp_path)[tmp_path.name]
-    for name, text in (("a.obj", OBJ), ("a.ply", PLY)):
+    files = {"a.obj": OBJ, "a.ply": PLY, "a.stl": stl(), "a.gltf": gltf()}
+    for name, text in files.items():
         (tmp_path / name).write_text(text)
         shape = {"file": str(tmp_path / name)}
         assert blender.ask("build", shape=shape, material=maps) == 4

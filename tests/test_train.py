@@ -12,7 +12,9 @@ from unips_jax.train_state import init_state
 from unips_jax.train_step import augment, train_step
 
 
-@pytest.mark.parametrize("name", ["adamw", "muon"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("adamw", marks=pytest.mark.slow), "muon"]
+)
 def test_loss_falls(name):
     config = dataclasses.replace(
         CONFIG, optim=dataclasses.replace(CONFIG.optim, name=name)

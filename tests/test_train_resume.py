@@ -85,6 +85,7 @@ def test_sigterm_saves(uninterrupted, tmp_path):
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] != []
 
 
+@pytest.mark.slow
 def test_starts_from_weights(uninterrupted, tmp_path):
     from unips_jax.train import train
 

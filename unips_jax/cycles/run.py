@@ -283,7 +283,7 @@ def render_set(
             try:
                 render_object(blender, job, settings, folders)
                 (failures / f"{job.name}.txt").unlink(missing_ok=True)
-            except BlenderError as error:
+            except (BlenderError, InputError) as error:  # InputError: an environment
                 failures.mkdir(exist_ok=True)
                 (failures / f"{job.name}.txt").write_text(f"{error}\n")
                 print(f"{job.name}: left out: {error}", file=sys.stderr)
