@@ -1,11 +1,16 @@
 """Miniature benchmarks in exactly the published layouts, made from shaded spheres."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import cv2
+import jax
 import numpy as np
 from scipy.io import savemat
+
+from unips_jax.config import ModelConfig
+from unips_jax.weights import init_params, save_weights
 
 
 def sphere(height, width, *, center=None, radius=None):
@@ -247,3 +252,34 @@ def snapshot(root):
         for path in sorted(Path(root).rglob("*"))
         if path.is_file()
     }
+
+
+def tilted(*degrees):
+    angles = np.deg2rad(degrees)
+    return np.stack([np.sin(angles), 0 * angles, np.cos(angles)], -1)[None]
+
+
+def small_weights(path, seed=0):
+    config = ModelConfig(
+        canonical_size=32,
+        patch_channels=(4, 6),
+        embed_dim=8,
+        depths=(1,),
+        num_heads=(1,),
+        communication_heads=2,
+        context_dim=8,
+        hidden_dim=16,
+        aggregation_layers=1,
+        aggregation_heads=2,
+        aggregation_mlp_dim=16,
+        pma_mlp_dim=16,
+        predictor_dim=8,
+    )
+    # Shapes alone are traced: initialising costs compiling for nothing.
+    shapes = jax.eval_shape(partial(init_params, config), jax.random.key(0))
+    rng = np.random.default_rng(seed)
+    params = jax.tree.map(
+        lambda leaf: 0.3 * rng.standard_normal(leaf.shape, np.float32), shapes
+    )
+    save_weights(path, config, params)
+    return path

@@ -267,6 +267,10 @@ def test_the_papers_list_is_a_manifest():
         ("object,material\na,b\n", "line 2: expected object, material and category"),
         ("object,material,category\na,b,Glass\n", "expected one of Fabric.*'Glass'"),
         ("object,material,category\n", "expected lines of objects"),
+        (
+            "object,material,category,lighting\na,b,Wood,moon\n",
+            "expected some of directional.*'moon'",
+        ),
     ],
 )
 def test_bad_manifests_are_named(tmp_path, text, message):

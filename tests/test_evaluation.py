@@ -1,271 +1,21 @@
-"""Protocols, scores, methods, the runner and its tables."""
+"""The runner, its tables and the command."""
 
 import csv
 import json
-from functools import partial
 
 import evaluation_data as data
-import jax
 import numpy as np
 import pytest
 from scipy.io import loadmat
 
 from unips_jax import eval as evaluation
-from unips_jax import streaming
 from unips_jax.baselines.method import Estimated, Unsupported
-from unips_jax.command import InputError
-from unips_jax.config import ModelConfig
 from unips_jax.evaluation import methods, protocols, runner, summary
-from unips_jax.evaluation.benchmarks import Item, open_benchmark
-from unips_jax.evaluation.methods import UnipsOptions, Variant, load_variants
-from unips_jax.evaluation.protocols import Box, Protocol
-from unips_jax.evaluation.scores import from_json, score
+from unips_jax.evaluation.benchmarks import open_benchmark
+from unips_jax.evaluation.methods import Variant
+from unips_jax.evaluation.protocols import Protocol
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.tables import files_of
-from unips_jax.weights import init_params, save_weights
-
-NO_WEIGHTS = UnipsOptions(())
-
-
-def item_of(images, mask, normals=None, **rest):
-    fields = {"lights": None, "focal": None, "tags": {"object": "x"}, "notes": ()}
-    return Item("x", images, mask, normals, **{**fields, **rest})
-
-
-# Protocols
-
-
-def test_box_is_square_around_the_mask_with_a_margin():
-    mask = np.zeros((40, 60), bool)
-    mask[10:17, 20:40] = True
-    assert protocols.square_box(mask) == Box(10 - (28 - 7) // 2, 20 - 4, 28)
-
-
-def test_crop_of_its_own_size_passes_unchanged():
-    rng = np.random.default_rng(0)
-    mask = np.zeros((30, 33), bool)
-    mask[7:15, 9:20] = rng.random((8, 11)) < 0.7
-    mask[7, 9] = mask[14, 19] = True
-    images = rng.integers(0, 65536, (3, 30, 33, 3), dtype=np.uint16)
-    normals = rng.normal(size=(30, 33, 3)).astype(np.float32)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    case = protocols.show(
-        item_of(images, mask, normals, focal=50.0), Protocol("crop", 19), [2, 0]
-    )
-    rows, columns = slice(2, 21), slice(5, 24)
-    np.testing.assert_array_equal(case.mask, mask[rows, columns])
-    expected = images[[2, 0], rows, columns] / np.float32(65535)
-    np.testing.assert_array_equal(
-        case.images, np.where(case.mask[..., None], expected, 0)
-    )
-    np.testing.assert_allclose(
-        case.normals[case.mask], normals[rows, columns][case.mask], atol=1e-6
-    )
-    assert case.focal == 50
-
-
-def test_crop_averages_masked_pixels_alone():
-    mask = np.zeros((16, 16), bool)
-    mask[4:12, 4:12] = True
-    mask[4, 4] = False
-    images = np.full((1, 16, 16, 3), 7.0, np.float32)
-    images[0, 4, 4] = 1000
-    images[0, 5, 4] = 10
-    case = protocols.show(item_of(images, mask, focal=32.0), Protocol("crop", 8), [0])
-    assert case.mask[2:6, 2:6].all() and case.mask.sum() == 16
-    np.testing.assert_allclose(case.images[0, 2, 2], 8)
-    np.testing.assert_allclose(case.images[0, 3, 3], 7)
-    assert (case.images[0, 0] == 0).all()
-    assert case.focal == 16
-
-
-def test_crop_beyond_the_border_is_black():
-    mask = np.ones((10, 10), bool)
-    images = np.full((1, 10, 10, 3), 255, np.uint8)
-    case = protocols.show(item_of(images, mask), Protocol("crop", 18), [0])
-    np.testing.assert_array_equal(case.mask, np.pad(mask, 4))
-    np.testing.assert_array_equal(case.images[0, ..., 0], np.pad(mask, 4))
-
-
-def test_crop_keeps_zero_normals_zero_and_others_unit():
-    mask, normals = data.sphere(64, 64)
-    normals = np.where(np.arange(64)[:, None, None] < 32, normals, 0)
-    images = np.ones((1, 64, 64, 3), np.float32)
-    case = protocols.show(
-        item_of(images, mask, normals.astype(np.float32)), Protocol("crop", 24), [0]
-    )
-    length = np.linalg.norm(case.normals, axis=-1)
-    assert set(np.round(length, 5).ravel()) == {0, 1}
-    assert (length[case.mask] == 0).sum() > 50
-
-
-def test_focal_of_unknown_cameras_is_the_papers():
-    mask, _ = data.sphere(32, 32)
-    item = item_of(np.ones((1, 32, 32, 3), np.float32), mask)
-    crop = Protocol("crop", 16)
-    assert protocols.show(item, crop, [0]).focal is None
-    assert protocols.show(item, crop, [0], crop_focal_ratio=1.0).focal == 16
-    native = protocols.show(item, Protocol("native"), [0], crop_focal_ratio=1.0)
-    assert native.focal is None
-
-
-def test_subsets_are_nested_fixed_and_sorted():
-    chosen = [protocols.choose_images(n, 32, seed=0) for n in (1, 4, 8, 16, 32)]
-    for smaller, larger in zip(chosen, chosen[1:], strict=False):
-        assert set(smaller) < set(larger)
-    np.testing.assert_array_equal(chosen[-1], np.arange(32))
-    np.testing.assert_array_equal(chosen[1], FOUR_OF_32)
-    other = protocols.choose_images(4, 32, seed=1)
-    assert other.tolist() != chosen[1].tolist()
-
-
-FOUR_OF_32 = [7, 8, 21, 27]
-
-
-def test_protocol_is_checked():
-    with pytest.raises(InputError, match="crop or native"):
-        Protocol("squint")
-    with pytest.raises(InputError, match="at least 8"):
-        Protocol("crop", 4)
-
-
-# Scores
-
-
-def tilted(*degrees):
-    angles = np.deg2rad(degrees)
-    return np.stack([np.sin(angles), 0 * angles, np.cos(angles)], -1)[None]
-
-
-def test_score_by_hand():
-    true = tilted(0, 10, 20, 40, 80, 100, 0)
-    true[0, 6] = 0
-    estimate = tilted(0, 14, 30, 65, 40, 100, 5)
-    estimate[0, 5] = np.nan
-    mask = np.ones((1, 7), bool)
-    found = score(estimate.astype(np.float32), true.astype(np.float32), mask)
-    errors = [0, 4, 10, 25, 40, 90, 90]
-    assert found.pixels == 7
-    assert found.mae == pytest.approx(np.mean(errors), abs=1e-4)
-    assert found.median == pytest.approx(25, abs=1e-4)
-    shares = [100 * n / 7 for n in (2, 3, 3, 4)]
-    np.testing.assert_allclose(found.within, shares)
-    assert sum(found.histogram) == 7 and len(found.histogram) == 180
-    assert found.histogram[90] == 2 and found.histogram[0] == 1
-    # The true normal of zero length is 90 degrees from the viewer: the last bin.
-    assert found.view_pixels == (2, 1, 1, 0, 0, 3)
-    np.testing.assert_allclose(found.view_sums, (4, 10, 25, 0, 0, 220), atol=1e-3)
-    assert (found.zero_truth, found.invalid) == (1, 1)
-    again = from_json(json.loads(json.dumps(found._asdict())))
-    assert again == found
-
-
-def test_score_counts_only_the_mask():
-    true, estimate = tilted(0, 0), tilted(10, 90)
-    found = score(estimate, true, np.array([[True, False]]))
-    assert found.pixels == 1 and found.mae == pytest.approx(10, abs=1e-4)
-
-
-# Methods
-
-
-def test_options_are_read_and_reach_the_method():
-    request = "least-squares:colour=mean,keep=(0.2,0.8)"
-    variant, constant = load_variants([request], NO_WEIGHTS)
-    assert variant.label == "least-squares:colour=mean,keep=(0.2, 0.8)"
-    assert constant.label == "constant"
-    assert variant.key["options"] == {"colour": "mean", "keep": (0.2, 0.8)}
-
-
-@pytest.mark.parametrize(
-    ("request_", "message"),
-    [
-        ("phong", "no method 'phong'"),
-        ("l1:iterations", "expected option=value"),
-        ("l1:steps=3", "steps"),
-        ("least-squares:keep=(0.9,0.1)", "0 <= low < high <= 1"),
-        ("gcnet", "expected a file of weights"),
-        ("gcnet:weights=nowhere.safetensors", "expected a file of weights"),
-        ("unips:size=3", "--canonical-size"),
-    ],
-)
-def test_bad_requests(request_, message):
-    with pytest.raises(InputError, match=message):
-        load_variants([request_], NO_WEIGHTS)
-
-
-@pytest.mark.parametrize("name", ["classical", "variational", "mpm"])
-def test_baselines_are_where_the_registry_says(name):
-    assert load_variants([name], NO_WEIGHTS)[-1].label == "constant"
-
-
-def test_what_a_row_must_tell_is_in_its_label(tmp_path):
-    weights = tmp_path / "mine.safetensors"
-    weights.touch()
-    request = f"gcnet:weights={weights},normals=woodham,per=stack"
-    oracle, gcnet, _ = load_variants(["mpm:sign=oracle", request], NO_WEIGHTS)
-    assert gcnet.label == "gcnet:weights=mine,normals=woodham,per=stack,norm=range01"
-    assert oracle.label == "mpm\N{DAGGER}" and oracle.oracle
-    assert "chosen by the truth" in oracle.about
-
-
-def small_weights(path, seed=0):
-    config = ModelConfig(
-        canonical_size=32,
-        patch_channels=(4, 6),
-        embed_dim=8,
-        depths=(1,),
-        num_heads=(1,),
-        communication_heads=2,
-        context_dim=8,
-        hidden_dim=16,
-        aggregation_layers=1,
-        aggregation_heads=2,
-        aggregation_mlp_dim=16,
-        pma_mlp_dim=16,
-        predictor_dim=8,
-    )
-    # Shapes alone are traced: initialising costs compiling for nothing.
-    shapes = jax.eval_shape(partial(init_params, config), jax.random.key(0))
-    rng = np.random.default_rng(seed)
-    params = jax.tree.map(
-        lambda leaf: 0.3 * rng.standard_normal(leaf.shape, np.float32), shapes
-    )
-    save_weights(path, config, params)
-    return path
-
-
-def test_unips_variants_get_their_own_settings(tmp_path, monkeypatch):
-    def estimate(params, images, mask, *, config, uniform_contexts):
-        return config.canonical_size, uniform_contexts
-
-    monkeypatch.setattr(streaming, "estimate_photographs", estimate)
-    weights = small_weights(tmp_path / "a.safetensors")
-    options = UnipsOptions([str(weights)], (32, 48), True)
-    variants = load_variants(["unips"], options)
-    assert {variant.label: variant.run(None, None) for variant in variants[:-1]} == {
-        "unips canonical 32": (32, False),
-        "unips canonical 32 uniform contexts": (32, True),
-        "unips canonical 48": (48, False),
-        "unips canonical 48 uniform contexts": (48, True),
-    }
-    keys = {json.dumps(variant.key, sort_keys=True) for variant in variants}
-    assert len(keys) == 5
-
-
-def test_weights_are_known_by_their_contents(tmp_path):
-    first = small_weights(tmp_path / "a.safetensors")
-    copy = small_weights(tmp_path / "b.safetensors")
-    other = small_weights(tmp_path / "c.safetensors", seed=1)
-    options = UnipsOptions([str(first), str(copy), str(other)])
-    a, b, c, _ = load_variants(["unips"], options)
-    assert a.key == b.key != c.key
-    assert [a.label, c.label] == ["unips a", "unips c"]
-    with pytest.raises(InputError, match="two methods"):
-        load_variants(["unips"], UnipsOptions([str(first), str(first)]))
-    with pytest.raises(InputError, match="multiple of 4"):
-        load_variants(["unips"], UnipsOptions([str(first)], (33,)))
-
 
 # The runner
 
@@ -277,7 +27,7 @@ class Recorder:
         self.calls = 0
         self.fails_at = fails_at
         self.needs_lights = needs_lights
-        self.normal = tilted(tilt)[0, 0]
+        self.normal = data.tilted(tilt)[0, 0]
         self.variant = Variant(label, {"method": label}, self.run)
 
     def run(self, images, mask, *, lights=None, focal=None):
@@ -566,7 +316,7 @@ def test_diligent102_writes_a_submission(tmp_path, capsys):
 
 
 def test_unips_runs_from_the_command_line(ps_wild, tmp_path):
-    weights = small_weights(tmp_path / "w.safetensors")
+    weights = data.small_weights(tmp_path / "w.safetensors")
     work = tmp_path / "work"
     chosen = ["--objects", "mixed/obj000", "--weights", str(weights)]
     assert run("ps-wild", ps_wild, work, *chosen, "--crop-size", "32") == 0

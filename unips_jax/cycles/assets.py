@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unips_jax.command import InputError
+from unips_jax.cycles.lighting import LIGHTINGS
+from unips_jax.evaluation.store import slug
 
 CATEGORIES = ("Fabric", "Concrete", "Wood", "Floor", "Ground", "Metal")
 SHAPES = ("cut", "displaced", "knot", "lathe", "extruded", "relief", "pile")
@@ -149,7 +151,7 @@ def manifest_jobs(
         materials: see `find_materials`.
 
     Raises:
-        InputError: if a column is missing or a category unknown.
+        InputError: if a column is missing or a category or lighting unknown.
     """
     by_name = {mesh.stem.lower(): mesh for mesh in meshes or []}
     sets = {name.lower(): entry for name, entry in (materials or {}).items()}
@@ -180,9 +182,15 @@ def manifest_jobs(
         drawn = {"category": category, "seed": _number(f"{seed}/{matter}")}
         material = sets.get(matter.lower(), drawn)
         facts = {"shape": thing, "material": matter, "category": category}
-        name = f"{row.get('id') or line - 1:>03}-{thing}-{matter}"
+        name = slug(f"{row.get('id') or line - 1:>03}-{thing}-{matter}")
         facing = shape.get("kind") == "relief"
         lightings = tuple((row.get("lighting") or "").split()) or None
+        unknown = sorted(set(lightings or ()) - set(LIGHTINGS))
+        if unknown:
+            raise InputError(
+                f"{path}, line {line}: lighting: expected some of "
+                f"{', '.join(LIGHTINGS)}, got {unknown[0]!r}"
+            )
         place = (seed, _number(name))
         jobs.append(Job(name, place, shape, material, facts, facing, lightings))
     if not jobs:

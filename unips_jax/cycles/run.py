@@ -94,6 +94,10 @@ def read_photograph(channels: dict[str, np.ndarray], mask: np.ndarray) -> np.nda
     """Radiance of the object, `[H, W, 3]`, zero outside the mask.
 
     Pixels at the outline, which the object covers in part, are divided by that part.
+
+    Args:
+        channels: R, G, B, premultiplied, and A, `[H, W]` each.
+        mask: `[H, W]` bool.
     """
     alpha = channels["A"]
     image = np.stack([channels[c] for c in "RGB"], -1)
@@ -272,7 +276,8 @@ def render_set(
         **dataclasses.asdict(settings),
         "environments": len(settings.environments),
     }
-    _same_settings(out / "settings.json", record)
+    with claim(locks / ".settings", wait=True):
+        _same_settings(out / "settings.json", record)
     failed = []
     for job in track(jobs, "rendering"):
         chosen = job.lightings or settings.lightings

@@ -13,8 +13,9 @@ import bpy
 import numpy as np
 from mathutils import Euler, Matrix, Vector
 
+from .meshes import applied, grid, new_mesh, new_object, read_mesh, round_shaded, tube
+
 Generator = np.random.Generator
-SHARP_DEG = 40.0
 
 
 def build(kind: str = "", seed: int = 0, file: str = "") -> Any:
@@ -29,45 +30,12 @@ def build(kind: str = "", seed: int = 0, file: str = "") -> Any:
         A `bpy` mesh, shaded smoothly but for sharp edges.
     """
     if file:
-        return _read(file)
+        return read_mesh(file)
     if kind == "sphere":
-        return _mesh(lambda b: bmesh.ops.create_icosphere(b, subdivisions=8, radius=1))
+        return new_mesh(
+            lambda b: bmesh.ops.create_icosphere(b, subdivisions=8, radius=1)
+        )
     return KINDS[kind](np.random.default_rng(seed))
-
-
-def _object(mesh: Any) -> Any:
-    item = bpy.data.objects.new("part", mesh)
-    bpy.context.scene.collection.objects.link(item)
-    return item
-
-
-def _mesh(fill: Callable[[Any], Any], *, smooth: bool = True) -> Any:
-    b = bmesh.new()
-    fill(b)
-    mesh = bpy.data.meshes.new("mesh")
-    b.to_mesh(mesh)
-    b.free()
-    if smooth:
-        mesh.shade_smooth()
-    return mesh
-
-
-def _applied(item: Any, *modifiers: tuple[str, dict[str, Any]]) -> Any:
-    """The mesh of an object after modifiers; the object goes."""
-    for kind, settings in modifiers:
-        modifier = item.modifiers.new(kind, kind)
-        for name, value in settings.items():
-            setattr(modifier, name, value)
-    graph = bpy.context.evaluated_depsgraph_get()
-    mesh = bpy.data.meshes.new_from_object(item.evaluated_get(graph))
-    bpy.data.objects.remove(item)
-    return mesh
-
-
-def _round(mesh: Any) -> Any:
-    mesh.shade_smooth()
-    mesh.set_sharp_from_angle(angle=math.radians(SHARP_DEG))
-    return mesh
 
 
 def _primitive(rng: Generator) -> Any:
@@ -87,19 +55,19 @@ def _primitive(rng: Generator) -> Any:
             bmesh.ops.create_cone(b, cap_ends=True, segments=sides, **ends)
         bmesh.ops.scale(b, vec=Vector(size), verts=b.verts)
 
-    item = _object(_mesh(fill, smooth=False))
+    item = new_object(new_mesh(fill, smooth=False))
     if kind == "ball":
-        return _round(_applied(item))
+        return round_shaded(applied(item))
     width = rng.uniform(0.02, 0.18)
     bevel = {"width": width, "segments": 6, "limit_method": "ANGLE"}
-    return _round(_applied(item, ("BEVEL", bevel)))
+    return round_shaded(applied(item, ("BEVEL", bevel)))
 
 
 def _remeshed(item: Any, rng: Generator, *more: tuple[str, dict[str, Any]]) -> Any:
     """Even, dense polygons with softened edges."""
     remesh = {"mode": "VOXEL", "voxel_size": 0.018, "use_smooth_shade": True}
     smooth = {"factor": 0.5, "iterations": int(rng.integers(4, 14))}
-    mesh = _applied(item, *more, ("REMESH", remesh), ("SMOOTH", smooth))
+    mesh = applied(item, *more, ("REMESH", remesh), ("SMOOTH", smooth))
     mesh.shade_smooth()
     return mesh
 
@@ -117,10 +85,10 @@ def cut(rng: Generator) -> Any:
 
 
 def _cut(rng: Generator) -> Any:
-    body = _object(_primitive(rng))
+    body = new_object(_primitive(rng))
     tools = []
     for _ in range(int(rng.integers(2, 5))):
-        tool = _object(_primitive(rng))
+        tool = new_object(_primitive(rng))
         place = rng.normal(size=3)
         place *= rng.uniform(0.4, 0.8) / np.linalg.norm(place)
         shrink = Matrix.Scale(rng.uniform(0.5, 0.9), 4)
@@ -163,59 +131,11 @@ def displaced(rng: Generator) -> Any:
         "strength": rng.uniform(0.02, 0.06),
     }
     smooth = ("SMOOTH", {"factor": 0.5, "iterations": 4})
-    mesh = _applied(
-        *(_object(_mesh(fill)), ("DISPLACE", coarse), ("DISPLACE", fine), smooth)
+    mesh = applied(
+        *(new_object(new_mesh(fill)), ("DISPLACE", coarse), ("DISPLACE", fine), smooth)
     )
     mesh.shade_smooth()
     return mesh
-
-
-def _tube(points: np.ndarray, radii: np.ndarray, sides: int) -> Any:
-    """A closed tube along points `[K, 3]`."""
-    ahead = np.roll(points, -1, 0) - np.roll(points, 1, 0)
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    side = np.cross(ahead[0], [0.31, 0.55, 0.78])
-    rings, sides_at = [], []
-    for direction in ahead:  # the frame is carried along without twisting
-        side = side - direction * (side @ direction)
-        side /= np.linalg.norm(side)
-        sides_at.append(side)
-    # What the frame has turned by when it comes home is spread over the way.
-    last = sides_at[-1] - ahead[0] * (sides_at[-1] @ ahead[0])
-    up = np.cross(ahead[0], sides_at[0])
-    twist = math.atan2(last @ up, last @ sides_at[0])
-    angle = np.linspace(0, 2 * math.pi, sides, endpoint=False)
-    for index, (point, direction) in enumerate(zip(points, ahead, strict=True)):
-        turned = angle - twist * index / len(points)
-        across = np.cross(direction, sides_at[index])
-        ring = np.outer(np.cos(turned), sides_at[index])
-        ring += np.outer(np.sin(turned), across)
-        rings.append(point + radii[index] * ring)
-    return _grid(np.array(rings), closed=True)
-
-
-def _grid(points: np.ndarray, *, closed: bool) -> Any:
-    """A mesh of a grid `[K, S, 3]` that is closed along S, and along K if asked."""
-    count, sides = points.shape[:2]
-    index = np.arange(count * sides).reshape(count, sides)
-    ahead = np.roll(index, -1, 0) if closed else index[1:]
-    here = index if closed else index[:-1]
-    quads = np.stack([here, np.roll(here, -1, 1), np.roll(ahead, -1, 1), ahead], -1)
-    mesh = bpy.data.meshes.new("mesh")
-    faces = quads.reshape(-1, 4).tolist()
-    if not closed:
-        faces += [index[0][::-1].tolist(), index[-1].tolist()]
-    mesh.from_pydata(points.reshape(-1, 3).tolist(), [], faces)
-    return _outward(mesh)
-
-
-def _outward(mesh: Any) -> Any:
-    b = bmesh.new()
-    b.from_mesh(mesh)
-    bmesh.ops.recalc_face_normals(b, faces=b.faces)
-    b.to_mesh(mesh)
-    b.free()
-    return _round(mesh)
 
 
 def knot(rng: Generator) -> Any:
@@ -227,7 +147,7 @@ def knot(rng: Generator) -> Any:
     points = np.stack([ring * np.cos(p * t), ring * np.sin(p * t), height], -1)
     waves = np.cos(int(rng.integers(2, 9)) * t + rng.uniform(0, 6))
     radii = rng.uniform(0.1, 0.19) * (1 + rng.uniform(0, 0.35) * waves)
-    return _tube(points, radii, 64)
+    return tube(points, radii, 64)
 
 
 def lathe(rng: Generator) -> Any:
@@ -246,7 +166,7 @@ def lathe(rng: Generator) -> Any:
     around = radius[:, None] * (1 + depth * waves)
     height = np.broadcast_to(rng.uniform(1.0, 2.2) * (t[:, None] - 0.5), around.shape)
     points = np.stack([around * np.cos(angle), around * np.sin(angle), height], -1)
-    return _grid(points, closed=False)
+    return grid(points, closed=False)
 
 
 def extruded(rng: Generator) -> Any:
@@ -266,9 +186,9 @@ def extruded(rng: Generator) -> Any:
             for r, z in rings
         ]
     )
-    mesh = _grid(points, closed=True)
+    mesh = grid(points, closed=True)
     bevel = {"width": rng.uniform(0.02, 0.09), "segments": 6, "limit_method": "ANGLE"}
-    return _round(_applied(_object(mesh), ("BEVEL", bevel)))
+    return round_shaded(applied(new_object(mesh), ("BEVEL", bevel)))
 
 
 def relief(rng: Generator) -> Any:
@@ -288,14 +208,14 @@ def relief(rng: Generator) -> Any:
     ]
     smooth = ("SMOOTH", {"factor": 0.5, "iterations": 3})
     thick = ("SOLIDIFY", {"thickness": 0.12, "offset": -1})
-    return _round(_applied(_object(_mesh(fill)), *settings, smooth, thick))
+    return round_shaded(applied(new_object(new_mesh(fill)), *settings, smooth, thick))
 
 
 def pile(rng: Generator) -> Any:
     """Bevelled solids stuck into each other."""
     parts = []
     for _ in range(int(rng.integers(5, 12))):
-        part = _object(_primitive(rng))
+        part = new_object(_primitive(rng))
         place = Matrix.Translation(Vector(rng.normal(size=3) * 0.45))
         part.matrix_world = place @ _turn(rng) @ Matrix.Scale(rng.uniform(0.3, 0.7), 4)
         parts.append(part)
@@ -308,7 +228,7 @@ def pile(rng: Generator) -> Any:
     mesh = bpy.data.meshes.new("mesh")
     b.to_mesh(mesh)
     b.free()
-    return _round(mesh)
+    return round_shaded(mesh)
 
 
 KINDS: dict[str, Callable[[Generator], Any]] = {
@@ -320,37 +240,3 @@ KINDS: dict[str, Callable[[Generator], Any]] = {
     "relief": relief,
     "pile": pile,
 }
-
-
-def _read(file: str) -> Any:
-    """All meshes of a file, joined, in the file's own places."""
-    suffix = file.rsplit(".", 1)[-1].lower()
-    if suffix == "blend":
-        with bpy.data.libraries.load(file) as (there, here):
-            here.objects = list(there.objects)
-        for item in here.objects:
-            if item is not None and item.name not in bpy.context.scene.objects:
-                bpy.context.scene.collection.objects.link(item)
-    else:
-        readers = {
-            "obj": bpy.ops.wm.obj_import,
-            "ply": bpy.ops.wm.ply_import,
-            "stl": bpy.ops.wm.stl_import,
-            "glb": bpy.ops.import_scene.gltf,
-            "gltf": bpy.ops.import_scene.gltf,
-        }
-        readers[suffix](filepath=file)
-    graph = bpy.context.evaluated_depsgraph_get()
-    b = bmesh.new()
-    for item in [o for o in bpy.context.scene.objects if o.type == "MESH"]:
-        mesh = bpy.data.meshes.new_from_object(item.evaluated_get(graph))
-        mesh.transform(item.matrix_world)
-        b.from_mesh(mesh)
-    for item in list(bpy.data.objects):
-        bpy.data.objects.remove(item)
-    mesh = bpy.data.meshes.new("mesh")
-    b.to_mesh(mesh)
-    b.free()
-    if not mesh.polygons:
-        raise ValueError(f"{file}: holds no faces")
-    return mesh
