@@ -128,12 +128,13 @@ def draw_environment(draws: Draws, num_images: int) -> Environment:
     zenith = level * _warmth(draws, 0.7) * draws.uniform(0.5, 1.2)
     zenith = zenith * jnp.where(sky, jnp.asarray([0.6, 0.8, 1.2]), 1.0)
     horizon = level * _warmth(draws, 0.5) * draws.uniform(0.5, 1.5)
-    ground = level * _warmth(draws, 0.5) * draws.uniform(0.1, 0.6)
+    ground = level * _warmth(draws, 0.5) * draws.uniform(0.05, 0.5)
     shape = (NUM_LOBES,)
     center = draws.direction(*shape)
-    # Skies and rooms have most light above the horizon.
-    lifted = jnp.abs(center[:, 1]) * jnp.where(draws.chance(0.8, *shape), 1.0, -1.0)
-    y = jnp.where(sky | room, lifted, center[:, 1])
+    # Most light comes from above: in eight photographed environments a surface that
+    # faces up gets 2.5 to 30 times (median 6) the light of one that faces down.
+    above = draws.chance(jnp.where(sky | room, 0.95, 0.8), *shape)
+    y = jnp.abs(center[:, 1]) * jnp.where(above, 1.0, -1.0)
     center = center.at[:, 1].set(y)
     helper = jnp.where(jnp.abs(y)[:, None] > 0.9, jnp.eye(3)[0], jnp.eye(3)[1])
     right = jnp.cross(helper, center)
@@ -151,7 +152,7 @@ def draw_environment(draws: Draws, num_images: int) -> Environment:
     free = draws.rotation(num_images)
     yaw = rotation_about(1, draws.uniform(-math.pi, math.pi, num_images))
     tilt = rotation_about(0, draws.uniform(-0.6, 0.6))
-    rotation = jnp.where(draws.chance(0.4), free, yaw @ tilt)
+    rotation = jnp.where(draws.chance(0.25), free, yaw @ tilt)
     return Environment(
         rotation=rotation,
         zenith=zenith,
@@ -193,10 +194,11 @@ def draw_lights(
     distance = draws.uniform(1.3, 3.0) * draws.uniform(0.8, 1.25, num_images)
     near = (kind == _POINT) | (kind == _AREA)
     area = kind == _AREA
-    anywhere = draws.direction(num_images)
+    high = draws.direction(num_images)
+    high = high.at[:, 1].set(jnp.abs(high[:, 1]))
     from_sky = kind == _ENVIRONMENT
     sun = draws.chance(0.5)
-    direction = jnp.where(from_sky, anywhere, direction)
+    direction = jnp.where(from_sky, high, direction)
     vector = jnp.where(near, direction * distance[:, None], direction)
     radius = jnp.where(area, draws.uniform(0.1, 0.6), 0.01)
     radius = jnp.where(from_sky, draws.log_uniform(0.01, 0.2), radius)
