@@ -68,7 +68,7 @@ def channels_last(array):
 
 
 def resized(images, mask):
-    return jax.vmap(gcnet._resized)(images, mask)
+    return jax.vmap(functools.partial(gcnet._resized, side=128))(images, mask)
 
 
 def run(params, images, mask):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from unips_jax import streaming
+from unips_jax.baselines.method import Lights
 from unips_jax.command import InputError
 from unips_jax.evaluation import protocols
 from unips_jax.evaluation.benchmarks import Item
@@ -182,6 +183,22 @@ def test_bad_requests(request_, message):
 @pytest.mark.parametrize("name", ["classical", "variational", "mpm"])
 def test_baselines_are_where_the_registry_says(name):
     assert load_variants([name], NO_WEIGHTS)[-1].label == "constant"
+
+
+def test_gcnet_small_finds_the_lights_of_a_sphere():
+    mask, normals = data.sphere(96, 96)
+    directions = data.lights(8)
+    images = data.shade(normals, directions).astype(np.float32)
+    small, constant = load_variants(["gcnet-small"], NO_WEIGHTS)
+    lights = Lights(directions, np.ones((8, 3)))
+    found = small.run(images, mask, lights=lights)
+
+    def error(estimate):
+        cosine = np.sum(estimate * normals, axis=-1)[mask]
+        return np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()
+
+    assert found.measures["light direction error (degrees)"] < 9
+    assert error(found.normals) < 10 < error(constant.run(images, mask))
 
 
 def test_what_a_row_must_tell_is_in_its_label(tmp_path):

@@ -6,8 +6,9 @@ Renders 6 objects under three lightings with 10 images of 256 x 256 each, and co
 UniPS with the paper's competitors, the classical methods and both floors. Started
 again, it only does what is left. What differs from the paper: the data (rendered here,
 not PS-Wild-Test), the weights of UniPS (ours), and MPM (our reconstruction); the
-report's section "What the methods are" says so again. GCNet takes part once weights
-are given: the authors', converted, or those of `tools/train_gcnet.py`.
+report's section "What the methods are" says so again. GCNet takes part at half the
+width with weights of ours (`tools/train_gcnet.py`), and with the authors' where they
+are given, converted.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from pathlib import Path
 from unips_jax import eval as evaluation
 from unips_jax import render
 
-METHODS = "unips mpm mpm:sign=oracle variational classical".split()
+METHODS = "unips gcnet-small mpm mpm:sign=oracle variational classical".split()
 
 
 def main() -> None:
@@ -26,7 +27,7 @@ def main() -> None:
     )
     parser.add_argument("out", type=Path, metavar="OUT")
     parser.add_argument("--weights", default="tiny", help="of UniPS (tiny)")
-    parser.add_argument("--gcnet", metavar="FILE", help="GCNet's weights")
+    parser.add_argument("--gcnet", metavar="FILE", help="the authors' GCNet")
     parser.add_argument("--objects", type=int, default=6, help="(6)")
     arguments = parser.parse_args()
     scenes = arguments.out / "scenes"

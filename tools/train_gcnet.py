@@ -6,10 +6,9 @@ The authors' weights may not be passed on; these are the architecture of Chen et
 (ECCV 2020), at half the width, with weights of our own. Their four stages are shortened
 to two: first the first lighting network, and the normal network under true lights; then
 everything end to end. The scenes are single directional lights of the training
-distribution, 64 x 64; the last tenth of the steps sees them enlarged to 128 x 128, the
-size the lighting networks are used at. Prints errors of held-out lights at the end.
-Stopped and started again, it goes on from the last multiple of 50 steps, kept beside
-the output as `*.part`.
+distribution, 64 x 64 and not 128 x 128, so the method is to be used with `side=64`.
+Prints errors of held-out lights at the end. Stopped and started again, it goes on from
+the last multiple of 50 steps, kept beside the output as `*.part`.
 """
 
 import argparse
@@ -61,24 +60,6 @@ def draw(key: Array, *, objects: int, images: int) -> dict[str, Array]:
         "normals": scene.normals,
         "directions": scene.light_directions,
         "intensities": jnp.clip(0.6 * strength / mean, 0.2, 2.0),
-    }
-
-
-def enlarge(batch: dict[str, Array]) -> dict[str, Array]:
-    """The batch at twice the size."""
-
-    def twice(x: Array, axis: int, method: str) -> Array:
-        shape = list(x.shape)
-        shape[axis], shape[axis + 1] = 2 * SIZE, 2 * SIZE
-        return jax.image.resize(x, shape, method)
-
-    normals = twice(batch["normals"], 1, "linear")
-    length = jnp.linalg.norm(normals, axis=-1, keepdims=True)
-    return {
-        **batch,
-        "images": twice(batch["images"], 2, "linear"),
-        "mask": twice(batch["mask"], 1, "nearest"),
-        "normals": normals / jnp.maximum(length, 1e-6),
     }
 
 
@@ -140,9 +121,8 @@ def train(steps: int, objects: int, seed: int, kept: Path) -> dict[str, Any]:
     )
     state = optimiser.init(params)
 
-    @functools.partial(jax.jit, static_argnames=("loss_of", "large"))
-    def step(params: Any, state: Any, batch: Any, *, loss_of: Any, large: bool) -> Any:
-        batch = enlarge(batch) if large else batch
+    @functools.partial(jax.jit, static_argnames=("loss_of",))
+    def step(params: Any, state: Any, batch: Any, *, loss_of: Any) -> Any:
         loss, grads = jax.value_and_grad(loss_of)(params, batch)
         updates, state = optimiser.update(grads, state, params)
         return optax.apply_updates(params, updates), state, loss
@@ -155,9 +135,7 @@ def train(steps: int, objects: int, seed: int, kept: Path) -> dict[str, Any]:
     for index in range(done, steps):
         batch = draw(jax.random.fold_in(key, index), objects=objects, images=8)
         stage = first_stage if index < steps // 2 else last_stage
-        params, state, loss = step(
-            params, state, batch, loss_of=stage, large=index >= steps * 9 // 10
-        )
+        params, state, loss = step(params, state, batch, loss_of=stage)
         losses.append(loss)
         if index % 50 == 49:
             mean = float(jnp.mean(jnp.stack(losses[-50:])))
@@ -173,7 +151,7 @@ def held_out(params: Any, objects: int = 64) -> dict[str, float]:
     errors = []
     for index in range(objects // 8):
         key = jax.random.fold_in(jax.random.key(2**31), index)
-        batch = enlarge(draw(key, objects=8, images=8))
+        batch = draw(key, objects=8, images=8)
         stages = jax.jit(NET.apply)({"params": params}, batch["images"], batch["mask"])
         directions, intensities = map(np.asarray, soft_lights(stages.second))
         truth = np.asarray(batch["directions"]), np.asarray(batch["intensities"])

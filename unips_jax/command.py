@@ -80,14 +80,17 @@ def progress(description: str) -> Iterator[Callable[[int, int], None]]:
             task = bar.add_task(description, total=None)
             yield lambda done, total: bar.update(task, completed=done, total=total)
         return
-    start = last = time.monotonic()
+    last = time.monotonic()
+    first: tuple[float, int] | None = None
 
     def report(done: int, total: int) -> None:
-        nonlocal last
+        nonlocal last, first
         now = time.monotonic()
-        if done and now - last >= 10:
+        # What comes first also waits for compilation: the pace is that of the rest.
+        first = first or (now, done)
+        if now - last >= 10 and done > first[1]:
             last = now
-            left = (now - start) / done * (total - done)
+            left = (now - first[0]) / (done - first[1]) * (total - done)
             print(
                 f"{description}: {done}/{total}, about {left:.0f} s left",
                 file=sys.stderr,

@@ -210,6 +210,28 @@ def save_weights(
     os.replace(file.name, path)
 
 
+def params_hash(config: ModelConfig, params: Params) -> str:
+    """A hash of a network's configuration and parameters.
+
+    Args:
+        config: the network's.
+        params: its parameters.
+    """
+    digest = hashlib.blake2b(to_json(config).encode(), digest_size=16)
+
+    def add(path: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for name in sorted(value):
+                add(f"{path}/{name}", value[name])
+            return
+        array = np.ascontiguousarray(value)
+        digest.update(f"{path}:{array.dtype}{array.shape}".encode())
+        digest.update(array.tobytes())
+
+    add("", params)
+    return digest.hexdigest()
+
+
 def random_weights(config: ModelConfig, *, seed: int = 0) -> Params:
     """Untrained parameters, as training starts from."""
     return jax.jit(init_params, static_argnums=0)(config, jax.random.key(seed))

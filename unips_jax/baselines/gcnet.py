@@ -38,7 +38,6 @@ Per = Literal["image", "stack"]
 Weights = Params | Path | str | None
 
 _PEAK = {"range01": 0.1, "literal10": 10.0}
-_SIDE = 128  # of the images the lighting networks see
 _MIN_IMAGES = 2
 
 
@@ -49,6 +48,7 @@ def gcnet(
     norm: Norm = "range01",
     per: Per = "image",
     margin: int | None = 15,
+    side: int = 128,
 ) -> Method:
     """GCNet's lights, then a calibrated method's normals.
 
@@ -60,11 +60,13 @@ def gcnet(
         per: whether that maximum is each image's or the whole stack's.
         margin: crop to the mask's box with so many pixels around it, as in the
             authors' evaluations; None to use the images as they come.
+        side: of the images that the lighting networks see; they were trained for it.
 
     Returns:
         The method; it needs no lights, and measures those it finds by them if given.
     """
-    return _uncalibrated("gcnet", weights, normals, norm, per, margin)
+    options = {"norm": norm, "per": per, "margin": margin, "side": side}
+    return _uncalibrated("gcnet", weights, normals, options)
 
 
 def lcnet(
@@ -79,7 +81,8 @@ def lcnet(
 
     The arguments are those of `gcnet`.
     """
-    return _uncalibrated("lcnet", weights, normals, norm, per, margin)
+    options = {"norm": norm, "per": per, "margin": margin}
+    return _uncalibrated("lcnet", weights, normals, options)
 
 
 def ps_fcn(
@@ -134,6 +137,7 @@ def estimate_lights(
     norm: Norm = "range01",
     per: Per = "image",
     margin: int | None = 15,
+    side: int = 128,
 ) -> Lights:
     """Light directions and intensities of an object's images.
 
@@ -144,6 +148,7 @@ def estimate_lights(
         norm: as in `gcnet`.
         per: as in `gcnet`.
         margin: as in `gcnet`.
+        side: as in `gcnet`.
 
     Returns:
         Directions `[N, 3]`, unit, z >= 0; intensities `[N, 3]`, equal over the
@@ -158,7 +163,7 @@ def estimate_lights(
     crop, inside = images[:, rows, columns], mask[rows, columns]
     scaled, gain = normalise(crop, inside, norm=norm, per=per)
     network = _gcnet_lights if "light_1" in params else _lcnet_lights
-    small, soft = _resized(_masked(scaled, inside), inside.astype(np.float32))
+    small, soft = _resized(_masked(scaled, inside), inside.astype(np.float32), side)
     directions, intensities = network(params, small, soft)
     intensities = np.asarray(intensities) / gain[:, None]
     return Lights(np.asarray(directions), np.repeat(intensities, 3, axis=1))
@@ -201,9 +206,7 @@ def _uncalibrated(
     name: Network,
     weights: Weights,
     normals: Method | None,
-    norm: Norm,
-    per: Per,
-    margin: int | None,
+    options: dict[str, Any],
 ) -> Method:
     loaded = _loader(name, weights)
 
@@ -221,7 +224,6 @@ def _uncalibrated(
                 "with converted PS-FCN_B_S_32.pth weights, or woodham"
             )
         _, mask = object_pixels(images, mask, name=name, minimum=_MIN_IMAGES)
-        options: dict[str, Any] = {"norm": norm, "per": per, "margin": margin}
         found = estimate_lights(params, images, mask, **options)
         estimate = normals(images, mask, lights=found, focal=focal)
         if isinstance(estimate, Estimated):
@@ -275,13 +277,13 @@ def _masked(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.where(mask[..., None], images, 0).astype(np.float32)
 
 
-@jax.jit
-def _resized(images: Array, mask: Array) -> tuple[Array, Array]:
-    """Images `[N, H, W, 3]` and mask `[H, W]` at 128 x 128, half-pixel bilinear."""
+@functools.partial(jax.jit, static_argnames="side")
+def _resized(images: Array, mask: Array, side: int) -> tuple[Array, Array]:
+    """Images `[N, H, W, 3]` and mask `[H, W]` at another size, half-pixel bilinear."""
     resize = functools.partial(jax.image.resize, method="linear", antialias=False)
     return (
-        resize(images, (len(images), _SIDE, _SIDE, 3)),
-        resize(mask, (_SIDE, _SIDE)),
+        resize(images, (len(images), side, side, 3)),
+        resize(mask, (side, side)),
     )
 
 

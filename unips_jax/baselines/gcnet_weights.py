@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from unips_jax.command import InputError
 
@@ -99,12 +99,18 @@ def from_official(
 
 
 def save_params(path: Path | str, params: Mapping[str, Any], network: Network) -> None:
-    """Writes parameters to a safetensors file with the network's name inside."""
+    """Writes parameters to a safetensors file with the network's name inside.
+
+    The file is complete or absent.
+    """
     flat = {
         "/".join(key): np.ascontiguousarray(value)
         for key, value in flatten_dict(params).items()
     }
-    save_file(flat, path, metadata={"network": network})
+    path = Path(path)
+    partial = path.with_name(path.name + ".part")
+    partial.write_bytes(save(flat, {"network": network}))
+    partial.replace(path)
 
 
 def load_params(path: Path | str) -> tuple[dict[str, Any], Network]:

@@ -44,12 +44,20 @@ class Baseline(NamedTuple):
     weights: bool = False
 
 
+_SMALL = Path(__file__).parents[1] / "assets" / "gcnet_small.safetensors"
+
 BASELINES: dict[str, Baseline] = {
     "gcnet": Baseline(
         "GCNet (Chen et al., ECCV 2020), re-implemented, with the weights given: "
         "lights estimated, then normals by a calibrated method",
         *("gcnet", "gcnet"),
         weights=True,
+    ),
+    "gcnet-small": Baseline(
+        "GCNet architecture at half the width, our weights (tools/train_gcnet.py): "
+        "lights estimated, then normals by least squares",
+        *("gcnet", "gcnet"),
+        {"weights": str(_SMALL), "normals": "woodham", "side": 64},
     ),
     "lcnet": Baseline(
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
@@ -281,7 +289,7 @@ def _file_hash(value: Any) -> Any:
 
 def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
     from unips_jax.streaming import estimate_photographs
-    from unips_jax.weights import load_weights
+    from unips_jax.weights import load_weights, params_hash
 
     several = len(unips.weights) > 1
     for source in unips.weights:
@@ -323,27 +331,3 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
                     f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "
                     f"hash {weights}",
                 )
-
-
-def params_hash(config: Any, params: Any) -> str:
-    """A hash of a network's configuration and parameters.
-
-    Args:
-        config: a configuration dataclass.
-        params: nested dictionaries of arrays.
-    """
-    from unips_jax.config import to_json
-
-    digest = hashlib.blake2b(to_json(config).encode(), digest_size=16)
-
-    def add(path: str, value: Any) -> None:
-        if isinstance(value, dict):
-            for name in sorted(value):
-                add(f"{path}/{name}", value[name])
-            return
-        array = np.ascontiguousarray(value)
-        digest.update(f"{path}:{array.dtype}{array.shape}".encode())
-        digest.update(array.tobytes())
-
-    add("", params)
-    return digest.hexdigest()
