@@ -70,13 +70,6 @@ def train(
     init = functools.partial(init_state, config)
     shapes = jax.eval_shape(init, init_key)
     shardings = state_sharding(shapes, mesh)
-    run_step = _compile_together(
-        jax.jit(
-            functools.partial(train_step, config=config),
-            donate_argnums=0,
-            out_shardings=(shardings, replicated(mesh)),
-        )
-    )
     with Checkpoints(workdir, config) as checkpoints:
         if checkpoints.latest_step() is None:
             state = jax.jit(init, out_shardings=shardings)(init_key)
@@ -88,6 +81,14 @@ def train(
             state, record = checkpoints.restore(abstract)
         first = int(state.step)
         log = TrainLog(workdir, first, config.train.steps)
+        run_step = _compile_together(
+            jax.jit(
+                functools.partial(train_step, config=config),
+                donate_argnums=0,
+                out_shardings=(shardings, replicated(mesh)),
+            ),
+            log,
+        )
         batches = _batches(config, scene_key, mesh, first)
         stop = _stop_on_sigterm()
         pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
@@ -113,7 +114,9 @@ def train(
     return state
 
 
-def _compile_together(step: Any) -> Callable[..., tuple[TrainState, Any]]:
+def _compile_together(
+    step: Any, log: TrainLog
+) -> Callable[..., tuple[TrainState, Any]]:
     """The jitted step; no process runs it before all have compiled it.
 
     Processes do not compile equally fast, and collectives between them give up after
@@ -125,6 +128,8 @@ def _compile_together(step: Any) -> Callable[..., tuple[TrainState, Any]]:
     def run(state: TrainState, batch: Batch, key: jax.Array) -> tuple[TrainState, Any]:
         types = str(jax.tree.map(jax.typeof, batch))
         if types not in compiled:
+            count = batch["images"].shape[1]
+            log.line(f"compiling for sets of {count} images; it takes a minute or so")
             compiled[types] = step.lower(state, batch, key).compile()
             wait(key=f"compiled {types}", timeout_ms=3_600_000)
         return compiled[types](state, batch, key)

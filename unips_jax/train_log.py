@@ -24,7 +24,7 @@ class TrainLog:
         """
         self._active = jax.process_index() == 0
         self._path = workdir / "metrics.jsonl"
-        self._first, self._steps, self._start = first, steps, time.monotonic()
+        self._steps, self._last, self._per_step = steps, (first, time.monotonic()), 0.0
         self._tensorboard: Any = _tensorboard(workdir) if self._active else None
         if self._active and self._path.exists():
             lines = self._path.read_text().splitlines()
@@ -41,8 +41,11 @@ class TrainLog:
         if self._tensorboard is not None:
             for name, value in numbers.items():
                 self._tensorboard.add_scalar(name, value, step)
-        per_step = (time.monotonic() - self._start) / max(step - self._first, 1)
-        minutes = per_step * (self._steps - step) / 60
+        before, start = self._last
+        if step > before:  # the pace since then: early compilations do not count
+            self._last = step, time.monotonic()
+            self._per_step = (self._last[1] - start) / (step - before)
+        minutes = self._per_step * (self._steps - step) / 60
         shown = " ".join(f"{name} {value:.3g}" for name, value in numbers.items())
         self.line(f"step {step}/{self._steps} ({minutes:.0f} min left) {shown}")
 
