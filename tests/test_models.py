@@ -41,8 +41,14 @@ def make(config, n=3):
     return network, lively(params), arguments
 
 
+# Every value once; the other pairs are slow tests.
+_IN_CI = {("pre_norm", "pre"), ("pre_norm", "post")}
+_IN_CI |= {("released", "none"), ("released", "during")}
 VARIANTS = [
-    {"attention": attention, "communication": communication}
+    pytest.param(
+        {"attention": attention, "communication": communication},
+        marks=() if (attention, communication) in _IN_CI else pytest.mark.slow,
+    )
     for attention, communication in itertools.product(
         ("pre_norm", "released"), ("none", "during", "pre", "post")
     )
