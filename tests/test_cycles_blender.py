@@ -265,6 +265,34 @@ def test_meshes_and_textures_of_the_user(blender, tmp_path):
         blender.ask("build", shape={"file": str(tmp_path / "bad.obj")}, material=maps)
 
 
+BLEND = """
+import sys
+
+import bpy
+
+bpy.ops.wm.read_factory_settings(use_empty=True)
+corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+mesh = bpy.data.meshes.new("tetrahedron")
+mesh.from_pydata(corners, [], [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+for x in (0, 3):
+    item = bpy.data.objects.new("tetrahedron", mesh)
+    item.location = (x, 0, 0)
+    bpy.context.scene.collection.objects.link(item)
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+"""
+
+
+def test_all_objects_of_a_blend_file_in_their_places(blender, tmp_path):
+    file = tmp_path / "two.blend"
+    subprocess.run([find_python(), "-c", BLEND, file], check=True, capture_output=True)
+    material = {"uniform": LAMBERTIAN}
+    assert blender.ask("build", shape={"file": str(file)}, material=material) == 8
+    blender.ask("place", rotation=[1, 0, 0, 0], focal_mm=None)
+    truth = run.read_truth(blender.picture("truth", size=SIZE))
+    parts, _ = cv2.connectedComponents(truth.mask.astype(np.uint8))
+    assert parts == 1 + 2  # the background and both of them
+
+
 def test_killed_and_started_again_it_ends_with_the_same_bytes(blender, tmp_path):
     arguments = ["--objects", "1", "--images", "2", "--size", "32", "--samples", "2"]
     command = ["render", "--engine", "cycles", *arguments, "--seed", "3"]
