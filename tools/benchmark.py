@@ -117,6 +117,11 @@ def shares(seconds: float, operations: float, rates: Sequence[float]) -> dict:
     }
 
 
+def peak_memory_gb() -> float:
+    """The most memory this process has held so far."""
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, 2)
+
+
 def estimation_benchmark(
     config: ModelConfig, images: int, size: int, repeats: int
 ) -> dict:
@@ -172,7 +177,7 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
         state, _ = jax.block_until_ready(step(state, batch, key))
         times.append(time.perf_counter() - start)
         rates.append(matrix_rate(model))
-    seconds = statistics.median(times)
+    seconds, step_peak = statistics.median(times), peak_memory_gb()
     render = functools.partial(
         render_batch, size=data.image_size, num_images=images, config=config.scenes
     )
@@ -183,6 +188,7 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
         "objects": data.batch_size,
         "images": images,
         "step": shares(seconds, 3 * data.batch_size * forward, rates),
+        "step_peak_memory_gb": step_peak,
         "scenes_per_second": round(data.batch_size / scenes, 1),
         "scenes_share_of_step": round(scenes / seconds, 3),
         "products_gflop_per_s": [round(rate / 1e9, 1) for rate in rates],
@@ -215,7 +221,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         result = estimation_benchmark(
             config.model, arguments.images, arguments.size, arguments.repeats
         )
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(
         json.dumps(
             {
@@ -224,7 +229,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 "device": jax.devices()[0].device_kind,
                 "config": arguments.config,
                 **result,
-                "peak_memory_gb": round(peak / 1e6, 2),
+                "peak_memory_gb": peak_memory_gb(),
             }
         )
     )
