@@ -7,7 +7,7 @@ import pytest
 from small_networks import SMALL, lively_weights, with_dtype
 
 from unips_jax import estimate_normals, estimation
-from unips_jax.estimation import square_frame
+from unips_jax.canonical import square_frame
 from unips_jax.streaming import estimate_photographs
 
 

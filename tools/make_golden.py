@@ -21,14 +21,10 @@ import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 
 from unips_jax import estimate_normals
+from unips_jax.canonical import canonical_images, normalize_images, square_frame
 from unips_jax.command import command
 from unips_jax.config import ModelConfig
-from unips_jax.estimation import (
-    canonical_images,
-    encode,
-    normalize_images,
-    square_frame,
-)
+from unips_jax.estimation import encode
 from unips_jax.losses import object_losses
 from unips_jax.weights import init_params
 

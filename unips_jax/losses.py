@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from unips_jax import ops
+from unips_jax.canonical import canonical_images, normalize_images, square_frame
 from unips_jax.config import ModelConfig
-from unips_jax.estimation import canonical_images, normalize_images, square_frame
 from unips_jax.models.unips import UniPS
 
 

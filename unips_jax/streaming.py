@@ -6,15 +6,9 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
+from unips_jax.canonical import Frame, FrameKind, square_frame
 from unips_jax.config import ModelConfig
-from unips_jax.estimation import (
-    CHUNK_TOKENS,
-    Frame,
-    FrameKind,
-    decode,
-    encode,
-    square_frame,
-)
+from unips_jax.estimation import CHUNK_TOKENS, decode, encode
 
 # Set sizes that are compiled; a set is padded to the next.
 _BUCKETS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 80, 96, 128)

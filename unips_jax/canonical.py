@@ -1,0 +1,114 @@
+"""What the encoder sees of an object: its images, normalised, in a square frame.
+
+Source: UniPS (Ikehata, CVPR 2022), Sec. 4; the frame is ours, so that photographs need
+not be square.
+"""
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+FrameKind = Literal["mask", "image"]
+
+
+class Frame(NamedTuple):
+    """The square of the image that the encoder sees; it may leave the image.
+
+    Attributes:
+        top: row of its first pixel.
+        left: column of its first pixel.
+        side: its side in pixels.
+    """
+
+    top: Array
+    left: Array
+    side: Array
+
+
+def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:
+    """The smallest square around the mask or the image, centred on it.
+
+    Args:
+        mask: `[H, W]`, non-zero on the object.
+        kind: "mask" or "image"; an empty mask gives the image's square.
+
+    Returns:
+        The frame, integers.
+    """
+    mask = jnp.asarray(mask) > 0
+    inside = mask if kind == "mask" else jnp.ones_like(mask)
+    inside = inside | ~jnp.any(inside)
+    starts, sizes = [], []
+    for axis in (1, 0):
+        line = jnp.any(inside, axis=axis)
+        start, stop = jnp.argmax(line), line.size - jnp.argmax(line[::-1])
+        starts.append(start)
+        sizes.append(stop - start)
+    side = jnp.maximum(*sizes)
+    top, left = (
+        start + (size - side) // 2 for start, size in zip(starts, sizes, strict=True)
+    )
+    return Frame(top, left, side)
+
+
+def normalize_images(images: Array, mask: Array) -> Array:
+    """Divides each image by its mean over masked pixels and channels; zero outside.
+
+    Args:
+        images: `[N, H, W, 3]`.
+        mask: `[H, W]`.
+
+    Returns:
+        `[N, H, W, 3]`; an all-black image stays black.
+    """
+    inside = (mask > 0)[..., None]
+    images = jnp.where(inside, images, 0)
+    count = jnp.maximum(jnp.sum(inside) * images.shape[-1], 1)
+    mean = jnp.sum(images, axis=(1, 2, 3), keepdims=True) / count
+    return images / jnp.where(mean > 0, mean, 1)
+
+
+def canonical_images(images: Array, mask: Array, frame: Frame, size: int) -> Array:
+    """The frame's part of the images, resized for the encoder.
+
+    Bilinear, half-pixel centres, no antialiasing; as a product with the separable
+    weights, which moves with the frame and has cheap gradients.
+
+    Args:
+        images: `[N, H, W, 3]`, normalised, zero outside the mask.
+        mask: `[H, W]`.
+        frame: which square.
+        size: the canonical size s.
+
+    Returns:
+        `[N, s, s, 4]`: images times mask, and the mask.
+    """
+    dtype, (height, width) = images.dtype, mask.shape
+    rows = _resize_weights(frame.top, frame.side, size, height, dtype)
+    columns = _resize_weights(frame.left, frame.side, size, width, dtype)
+    resized = jnp.einsum("ih,nhwc,jw->nijc", rows, images, columns, optimize=True)
+    steps = jnp.arange(size) * frame.side // size
+    inside = (
+        mask.astype(dtype)
+        .at[frame.top + steps]
+        .get(mode="fill", fill_value=0, wrap_negative_indices=False)
+    )
+    inside = inside.at[:, frame.left + steps].get(
+        mode="fill", fill_value=0, wrap_negative_indices=False
+    )
+    inside = (inside > 0).astype(dtype)[None, :, :, None]
+    return jnp.concatenate(
+        [resized * inside, jnp.broadcast_to(inside, (*resized.shape[:-1], 1))], axis=-1
+    )
+
+
+def _resize_weights(
+    start: Array, side: Array, size: int, length: int, dtype: jnp.dtype
+) -> Array:
+    """Bilinear weights `[size, length]` of an axis' cells for a stretch of it."""
+    places = (jnp.arange(size, dtype=dtype) + 0.5) * side.astype(dtype) / size - 0.5
+    places = start + jnp.clip(places, 0, side - 1)
+    distance = jnp.abs(places[:, None] - jnp.arange(length, dtype=dtype))
+    return jnp.maximum(1 - distance, 0)
