@@ -81,3 +81,35 @@ def test_normalize_has_finite_gradients_at_zero():
     np.testing.assert_allclose(ops.normalize(x), [[0, 0, 0], [0.6, 0, 0.8]], atol=1e-7)
     gradient = jax.grad(lambda x: ops.normalize(x).sum())(x)
     assert np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("strides", [(1, 1), (2, 2)])
+@pytest.mark.parametrize("size", [(1, 1), (3, 3), (2, 3)])
+def test_convolution_has_the_librarys_derivatives(strides, size):
+    keys = jax.random.split(jax.random.key(0), 4)
+    x, dx = jax.random.normal(keys[0], (2, 2, 7, 6, 4))
+    kernel, dkernel = jax.random.normal(keys[1], (2, *size, 4, 5))
+    padding = ((1, 0), (size[1] // 2, 1))
+    numbers = ("NHWC", "HWIO", "NHWC")
+
+    def ours(x, kernel):
+        return ops.convolution(x, kernel, strides, padding)
+
+    def librarys(x, kernel):
+        return jax.lax.conv_general_dilated(
+            x, kernel, strides, padding, dimension_numbers=numbers
+        )
+
+    tangents = (dx, dkernel)
+    for a, b in zip(
+        jax.jvp(ours, (x, kernel), tangents),
+        jax.jvp(librarys, (x, kernel), tangents),
+        strict=True,
+    ):
+        np.testing.assert_allclose(a, b, atol=1e-4)
+    (value, ours_back), (_, librarys_back) = (
+        jax.vjp(f, x, kernel) for f in (ours, librarys)
+    )
+    cotangent = jax.random.normal(keys[2], value.shape)
+    for a, b in zip(ours_back(cotangent), librarys_back(cotangent), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-4)

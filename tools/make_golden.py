@@ -25,7 +25,7 @@ from unips_jax.canonical import canonical_images, normalize_images, square_frame
 from unips_jax.command import command
 from unips_jax.config import ModelConfig
 from unips_jax.estimation import encode
-from unips_jax.losses import object_losses
+from unips_jax.losses import training_loss
 from unips_jax.weights import init_params
 
 CONFIGS = {
@@ -96,7 +96,7 @@ def golden_arrays(config: ModelConfig) -> dict[str, np.ndarray]:
     @jax.jit
     def loss(params):
         return jax.value_and_grad(
-            lambda params: object_losses(
+            lambda params: training_loss(
                 params,
                 jnp.asarray(images)[None],
                 jnp.asarray(mask)[None],
@@ -105,7 +105,7 @@ def golden_arrays(config: ModelConfig) -> dict[str, np.ndarray]:
                 config=config,
                 num_pixels=mask.size,
                 deterministic=True,
-            )[0][0]
+            )[0]
         )(params)
 
     value, gradients = loss(params)

@@ -56,10 +56,14 @@ def encode(
         `[N, s/4, s/4, context_dim]`.
     """
     encoder = UniPS(config).bind({"params": params}).encoder
+
+    def extract(images: Array, valid: Array | None = None) -> list[Array]:
+        return encoder.extract(encoder.embed(images), valid)
+
     if config.communication == "during":
-        maps = encoder.extract(images, valid)
+        maps = extract(images, valid)
     else:
-        maps = map_chunks(encoder.extract, images, CHUNK_IMAGES)
+        maps = map_chunks(extract, images, CHUNK_IMAGES)
 
     def communicate(level: Array, index: int) -> Array:
         n, h, w, c = level.shape

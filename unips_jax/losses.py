@@ -4,16 +4,20 @@ Source: UniPS (Ikehata, CVPR 2022), Sec. 4.3 and supplement: squared distance be
 true and predicted unit normals, averaged over pixels, at two samplings, summed.
 """
 
+import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import optax
 from jax import Array
 
 from unips_jax import ops
 from unips_jax.canonical import canonical_images, normalize_images, square_frame
 from unips_jax.config import ModelConfig
+from unips_jax.estimation import CHUNK_IMAGES, CHUNK_TOKENS, map_chunks
 from unips_jax.models.unips import UniPS
 
 
@@ -22,10 +26,71 @@ def squared_distance(predicted: Array, true: Array) -> Array:
     return jnp.sum(jnp.square(predicted - true), axis=-1)
 
 
-def masked_mean(values: Array, mask: Array) -> Array:
-    """Mean of `[...]` where the mask is set; 0 for an empty mask."""
-    count = jnp.maximum(jnp.sum(mask), 1)
-    return jnp.sum(jnp.where(mask, values, 0)) / count
+def mean_weights(mask: Array) -> Array:
+    """Weights `[P]` of masked pixels in their mean; all zero for an empty mask."""
+    return mask / jnp.maximum(jnp.sum(mask), 1)
+
+
+def chunked_sum(
+    function: Callable[[Any, Any, Any], tuple[Array, Any]],
+    params: Any,
+    xs: Any,
+    constants: Any,
+    size: int | None,
+) -> tuple[Array, Any]:
+    """Sums a function over chunks of the leading axis, in bounded memory.
+
+    Where a derivative is asked for, each chunk's gradient is computed together with its
+    value, and the derivative is the product with it. So nothing of a chunk is kept or
+    recomputed, and all of it stays in cache.
+
+    Args:
+        function: of `params`, and of the chunks of `xs` and of `constants`; returns a
+            sum, and arrays with the chunk's leading axis.
+        params: differentiable.
+        xs: arrays `[P, ...]`, differentiable.
+        constants: arrays `[P, ...]`, taken as constants.
+        size: of the chunks, the last one padded with zeros; None: all at once.
+
+    Returns:
+        The sum, and the function's arrays, `[P, ...]`, without a derivative.
+    """
+    total = jax.tree.leaves(xs)[0].shape[0]
+    chunks = 1 if size is None else -(-total // size)
+    size = -(-total // chunks)
+
+    def split(x: Array) -> Array:
+        x = jnp.pad(x, [(0, chunks * size - total)] + [(0, 0)] * (x.ndim - 1))
+        return x.reshape(chunks, size, *x.shape[1:])
+
+    parts = jax.tree.map(split, (xs, constants))
+    value, arrays = _chunked_sum(function, params, *parts)
+    arrays = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:total], arrays)
+    return value, arrays
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _chunked_sum(
+    function: Any, params: Any, xs: Any, constants: Any
+) -> tuple[Array, Any]:
+    values, arrays = jax.lax.map(lambda part: function(params, *part), (xs, constants))
+    return jnp.sum(values), arrays
+
+
+@_chunked_sum.defjvp
+def _chunked_sum_jvp(function: Any, primals: Any, tangents: Any) -> Any:
+    params, *parts = primals
+    run = jax.value_and_grad(function, argnums=(0, 1), has_aux=True)
+
+    def add(total: Any, part: Any) -> tuple[Any, Any]:
+        (value, arrays), (by_params, by_x) = run(params, *part)
+        return jax.tree.map(jnp.add, total, (value, by_params)), (arrays, by_x)
+
+    zeros = jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)
+    (value, by_params), (arrays, by_xs) = jax.lax.scan(add, zeros, tuple(parts))
+    change = optax.tree.vdot((by_params, by_xs), tangents[:2])
+    still = jax.tree.map(jnp.zeros_like, arrays)
+    return (value, arrays), (change, still)
 
 
 def draw_pixels(mask: Array, count: int, key: Array) -> tuple[Array, Array]:
@@ -46,7 +111,7 @@ def draw_pixels(mask: Array, count: int, key: Array) -> tuple[Array, Array]:
     return index, chosen >= 0
 
 
-def object_losses(
+def training_loss(
     params: Any,
     images: Array,
     mask: Array,
@@ -58,7 +123,9 @@ def object_losses(
     grid_loss: bool = True,
     deterministic: bool = False,
 ) -> tuple[Array, dict[str, Array]]:
-    """The losses of B objects.
+    """The mean loss of B objects, differentiable by the parameters.
+
+    The decoder's gradient is computed with its value, see `chunked_sum`.
 
     Args:
         params: the network's parameters.
@@ -72,51 +139,94 @@ def object_losses(
         deterministic: no dropout.
 
     Returns:
-        The losses `[B]`, and metrics, `[B]` each: the mean angular error in degrees
-        over the drawn pixels.
+        The loss, and metrics: the mean angular error in degrees over the drawn pixels.
     """
-    network = UniPS(config)
+    # On CPU the compiler undoes rematerialisation everywhere but in loops.
+    on_cpu = jax.default_backend() == "cpu"
+    loop = on_cpu and config.remat and config.communication != "during"
+    network = UniPS(dataclasses.replace(config, remat=config.remat and not on_cpu))
+    batch, num_images = images.shape[:2]
     grid = config.canonical_size // 4
     draws = jax.vmap(jax.random.split)(keys)  # [B, 2]
     object_ = functools.partial(_prepare, config=config, num_pixels=num_pixels)
     prepared = jax.vmap(object_)(images, mask, normals, draws[:, 0])
+    extract_key, combine_key, decoder_key = jax.random.split(draws[0, 1], 3)
+
+    def encoder(method: str, key: Array, *inputs: Any) -> Any:
+        return network.apply(
+            {"params": {"encoder": params["encoder"]}},
+            *inputs,
+            method=lambda network, *inputs: getattr(network.encoder, method)(*inputs),
+            rngs={"dropout": key},
+        )
+
+    def extract(part: tuple[Array, Array]) -> Any:
+        tokens, index = part
+        key = jax.random.fold_in(extract_key, index[0])
+        return encoder("extract", key, tokens, *rest)
+
+    # Without `vmap`: the gradients of plain products are faster.
+    rest = None, deterministic, num_images
+    inputs = prepared.inputs.reshape(-1, *prepared.inputs.shape[2:])  # [B * N, ...]
+    tokens = encoder("embed", extract_key, inputs), jnp.arange(len(inputs))
+    maps = map_chunks(extract, tokens, CHUNK_IMAGES) if loop else extract(tokens)
+    contexts = encoder("combine", combine_key, maps, *rest)
+    contexts = contexts.reshape(batch, num_images, *contexts.shape[1:])
     zeros = config.context_sampling == "corner"
     sample = jax.vmap(functools.partial(ops.bilinear_sample, zeros=zeros))
+    sampled = sample(contexts, prepared.rows, prepared.columns)  # [B, N, P, C]
+    observed, true = prepared.pixels, prepared.true
+    weights = jax.vmap(mean_weights)(prepared.drawn)
+    if grid_loss:
+        # The grid's cells come first, then the drawn pixels.
+        def cells(x: Array) -> Array:
+            return x.reshape(*x.shape[:-3], grid * grid, x.shape[-1])
 
-    def run(bound: UniPS) -> Array:
-        # Without `vmap`: the gradients of plain products are faster.
-        contexts = bound.encoder(prepared.inputs, None, deterministic)
-        sampled = sample(contexts, prepared.rows, prepared.columns)  # [B, N, P, C]
-        observed = prepared.pixels
-        if grid_loss:
-            small = ops.resize_bilinear(prepared.images, (grid, grid))
-            observed, sampled = (
-                jnp.concatenate([x.reshape(*x.shape[:2], grid * grid, -1), y], axis=2)
-                for x, y in ((small, observed), (contexts, sampled))
-            )
-        observed, sampled = (jnp.swapaxes(x, 1, 2) for x in (observed, sampled))
-        return bound.decoder(observed, sampled, None, deterministic)  # [B, P, N, C]
+        def prepend(first: Array, then: Array) -> Array:
+            return jnp.concatenate([first, then], axis=-2)
 
-    predicted: Any = network.apply(
-        {"params": params}, method=run, rngs={"dropout": draws[0, 1]}
+        small = ops.resize_bilinear(prepared.images, (grid, grid))
+        observed = prepend(cells(small), observed)
+        sampled = prepend(cells(contexts), sampled)
+        small_normals = ops.normalize(ops.resize_bilinear(normals, (grid, grid)))
+        true = prepend(cells(small_normals), true)
+        small_mask = ops.resize_mask_nearest(mask, (grid, grid))
+        small_weights = jax.vmap(mean_weights)(small_mask.reshape(-1, grid * grid))
+        weights = jnp.concatenate([small_weights, weights], axis=-1)
+
+    def score(decoder: Any, sets: Any, truth: Any) -> tuple[Array, Array]:
+        """Weighted distances of a chunk's pixels, and cosines `[p, B]`."""
+        observed, sampled = (jnp.moveaxis(x, 0, 1) for x in sets)  # [B, p, N, C]
+        index, true, weights = truth
+        predicted: Any = network.apply(
+            {"params": {"decoder": decoder}},
+            observed,
+            sampled,
+            None,
+            deterministic,
+            method=lambda network, *inputs: network.decoder(*inputs),
+            rngs={"dropout": jax.random.fold_in(decoder_key, index[0])},
+        )
+        distance = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
+        return jnp.sum(weights * distance), 1 - distance / 2
+
+    size = max(1, CHUNK_TOKENS // (batch * num_images)) if on_cpu else None
+    loss, cosine = chunked_sum(
+        score,
+        params["decoder"],
+        tuple(x.transpose(2, 0, 1, 3) for x in (observed, sampled)),
+        (
+            jnp.arange(true.shape[1]),
+            true.swapaxes(0, 1),
+            weights.swapaxes(0, 1) / batch,
+        ),
+        size,
     )
-
-    def score(
-        predicted: Array, one: _Prepared, mask: Array, normals: Array
-    ) -> tuple[Array, dict[str, Array]]:
-        at_pixels = predicted[-one.true.shape[0] :]
-        distance = squared_distance(at_pixels, one.true)
-        loss = masked_mean(distance, one.drawn)
-        if grid_loss:
-            small_mask = ops.resize_mask_nearest(mask, (grid, grid)).reshape(-1)
-            true = ops.normalize(ops.resize_bilinear(normals, (grid, grid)))
-            at_grid = squared_distance(predicted[: grid * grid], true.reshape(-1, 3))
-            loss = loss + masked_mean(at_grid, small_mask)
-        cosine = jnp.clip(1 - jax.lax.stop_gradient(distance) / 2, -1, 1)
-        error = jnp.rad2deg(jnp.arccos(cosine))
-        return loss, {"mae_deg": masked_mean(error, one.drawn)}
-
-    return jax.vmap(score)(predicted, prepared, mask, normals)
+    drawn = prepared.drawn
+    cosine = cosine[-drawn.shape[1] :].swapaxes(0, 1)
+    error = jnp.rad2deg(jnp.arccos(jnp.clip(cosine, -1, 1)))
+    error = jax.vmap(mean_weights)(drawn) * error
+    return loss, {"mae_deg": jnp.sum(error) / batch}
 
 
 class _Prepared(NamedTuple):

@@ -9,7 +9,7 @@ import optax
 from jax import Array
 
 from unips_jax.config import Config
-from unips_jax.losses import object_losses
+from unips_jax.losses import training_loss
 from unips_jax.optim import make_optimizer
 from unips_jax.train_state import TrainState
 
@@ -90,7 +90,7 @@ def batch_loss(
     keys = jax.random.split(key, (2, batch["images"].shape[0]))
     if data.augment:
         objects = jax.vmap(augment)(*objects, keys[0])
-    losses, metrics = object_losses(
+    return training_loss(
         params,
         *objects,
         keys[1],
@@ -98,7 +98,6 @@ def batch_loss(
         num_pixels=data.pixels_for(num_images),
         grid_loss=data.grid_loss,
     )
-    return jnp.mean(losses), jax.tree.map(jnp.mean, metrics)
 
 
 def train_step(

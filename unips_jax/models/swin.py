@@ -53,6 +53,7 @@ class PatchEmbed(nn.Module):
                 use_bias=False,
                 dtype=self.dtype,
                 kernel_init=nn.initializers.he_normal(),
+                conv_general_dilated=ops.convolution,
                 name=f"conv{i}",
             )(x)
             if i + 1 < len(layers):

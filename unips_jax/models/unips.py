@@ -25,8 +25,8 @@ _XYZ = 3
 class Encoder(nn.Module):
     """Global lighting contexts from images of canonical size.
 
-    `extract` and `fuse` treat every image alone, `communicate` every pixel alone, so a
-    caller may run each in pieces.
+    `embed`, `extract` and `fuse` treat every image alone, `communicate` every pixel
+    alone, so a caller may run each in pieces.
 
     Attributes:
         config: the network's configuration.
@@ -78,28 +78,42 @@ class Encoder(nn.Module):
         *sets, height, width, channels = images.shape
         flat = images.reshape(-1, height, width, channels)
         rest = (valid, deterministic, sets[-1])
-        maps = self.extract(flat, *rest)
+        contexts = self.combine(self.extract(self.embed(flat), *rest), *rest)
+        return contexts.reshape(*sets, *contexts.shape[1:])
+
+    def combine(
+        self,
+        maps: Sequence[Array],
+        valid: Array | None = None,
+        deterministic: bool = True,
+        num_images: int | None = None,
+    ) -> Array:
+        """Turns the maps of `extract` into contexts, `[M, s/4, s/4, context_dim]`."""
+        rest = (valid, deterministic, num_images)
         if self.config.communication == "pre":
             maps = [self.communicate(level, i, *rest) for i, level in enumerate(maps)]
         contexts = self.fuse(maps)
         if self.config.communication == "post":
             contexts = self.communicate(contexts, 0, *rest)
-        return contexts.reshape(*sets, *contexts.shape[1:])
+        return contexts
+
+    def embed(self, images: Array) -> Array:
+        """Embeds patches: `[M, s, s, 4]` to tokens `[M, s/4, s/4, embed_dim]`."""
+        return self.patch_embed(images.astype(self.config.dtype))
 
     def extract(
         self,
-        images: Array,
+        tokens: Array,
         valid: Array | None = None,
         deterministic: bool = True,
         num_images: int | None = None,
     ) -> list[Array]:
-        """Runs the backbone: `[M, s, s, 4]` to maps `[M, s/4/2**i, ..., C_i]`.
+        """Runs the backbone: tokens of `embed` to maps `[M, s/4/2**i, ..., C_i]`.
 
         `valid` and `num_images` (see `communicate`) matter for communication "during"
         only.
         """
-        x = self.patch_embed(images.astype(self.config.dtype))
-        maps = []
+        x, maps = tokens, []
         for i, stage in enumerate(self.stages):
             x = stage(x, deterministic)
             if self.config.communication == "during":

@@ -67,6 +67,7 @@ class UPerNet(nn.Module):
             padding=size // 2,
             dtype=self.dtype,
             kernel_init=nn.initializers.he_normal(),
+            conv_general_dilated=ops.convolution,
             name=name,
         )
         return lambda x: nn.relu(conv(x))

@@ -1,0 +1,68 @@
+"""The loss in pieces against the loss as a whole."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_networks import SMALL, lively_weights
+
+from unips_jax import losses
+
+
+@pytest.mark.parametrize("size", [1, 3, 7, 10, None])
+def test_sum_of_chunks_is_the_sum(size):
+    keys = jax.random.split(jax.random.key(0), 3)
+    w, x, c = (
+        jax.random.normal(key, shape)
+        for key, shape in zip(keys, ((4,), (7, 4), (7,)), strict=True)
+    )
+
+    def function(w, x, c):
+        y = jnp.tanh(x @ w)
+        return jnp.sum(c * y), y
+
+    def chunked(w, x):
+        return losses.chunked_sum(function, w, x, c, size)
+
+    value, y = chunked(w, x)
+    expected, expected_y = function(w, x, c)
+    np.testing.assert_allclose(value, expected, rtol=1e-5)
+    np.testing.assert_allclose(y, expected_y, rtol=1e-5)
+    for gradient, plain in zip(
+        jax.grad(lambda *a: 3 * chunked(*a)[0], (0, 1))(w, x),
+        jax.grad(lambda *a: 3 * function(*a, c)[0], (0, 1))(w, x),
+        strict=True,
+    ):
+        np.testing.assert_allclose(gradient, plain, rtol=1e-4, atol=1e-6)
+
+
+def test_pieces_change_no_gradient(monkeypatch):
+    rng = np.random.default_rng(0)
+    images = jnp.asarray(rng.random((2, 3, 16, 16, 3)), jnp.float32)
+    mask = jnp.asarray(rng.random((2, 16, 16)) > 0.3)
+    normals = rng.normal(size=(2, 16, 16, 3))
+    normals = jnp.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+
+    def loss(params, remat):
+        return losses.training_loss(
+            params,
+            images,
+            mask,
+            normals.astype(jnp.float32),
+            jax.random.split(jax.random.key(1), 2),
+            config=dataclasses.replace(SMALL, remat=remat),
+            num_pixels=50,
+        )
+
+    gradient = jax.value_and_grad(loss, has_aux=True)
+    monkeypatch.setattr(losses, "CHUNK_TOKENS", 10**9)
+    whole = jax.jit(gradient, static_argnums=1)(lively_weights(), False)
+    monkeypatch.setattr(losses, "CHUNK_TOKENS", 30)  # pixels by fives
+    monkeypatch.setattr(losses, "CHUNK_IMAGES", 4)  # six images in two pieces
+    jax.clear_caches()
+    pieces = jax.jit(gradient, static_argnums=1)(lively_weights(), True)
+    scale = max(float(jnp.max(jnp.abs(g))) for g in jax.tree.leaves(whole[1]))
+    for a, b in zip(jax.tree.leaves(pieces), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5 * scale)
