@@ -24,6 +24,7 @@ SMALL = dataclasses.replace(
     drop_path_rate=ModelConfig.drop_path_rate,
     dropout_rate=ModelConfig.dropout_rate,
 )
+SHALLOW = dataclasses.replace(SMALL, depths=(1, 1), aggregation_layers=1)
 
 
 def inputs(n=3, size=20, pixels=17):
@@ -58,7 +59,7 @@ VARIANTS = [
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: "-".join(v.values()))
 def test_order_and_padding_of_images_do_not_matter(variant):
     network, params, (images, observed, *places) = make(
-        dataclasses.replace(SMALL, **variant)
+        dataclasses.replace(SHALLOW, **variant)
     )
     apply = jax.jit(network.apply)
     plain = apply({"params": params}, images, observed, *places)
@@ -80,7 +81,7 @@ def test_order_and_padding_of_images_do_not_matter(variant):
 @pytest.mark.parametrize("attention", ["pre_norm", "released"])
 def test_communication_changes_the_result(attention):
     network, params, (images, observed, *places) = make(
-        dataclasses.replace(SMALL, attention=attention)
+        dataclasses.replace(SHALLOW, attention=attention)
     )
     contexts = network.bind({"params": params}).encoder(images)
     changed = network.bind({"params": params}).encoder(images.at[1].mul(2))

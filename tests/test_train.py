@@ -9,7 +9,7 @@ import pytest
 from training_runs import CONFIG, DATA, batch
 
 from unips_jax.train_state import init_state
-from unips_jax.train_step import augment, train_step
+from unips_jax.train_step import _accumulate, augment, train_step
 
 
 @pytest.mark.parametrize(
@@ -30,6 +30,19 @@ def test_loss_falls(name):
 
 
 def test_accumulation_is_the_mean_of_its_parts():
+    def gradient(params, batch, key):
+        weight = jax.random.uniform(key)
+        return {"loss": weight * jnp.mean(params * batch["x"])}, weight * batch["x"][0]
+
+    x, key = jnp.arange(8.0), jax.random.key(1)
+    value, grads = _accumulate(gradient, 3.0, {"x": x}, key, 4)
+    weights = jax.vmap(jax.random.uniform)(jax.random.split(key, 4))
+    np.testing.assert_allclose(value["loss"], jnp.mean(weights * (x[::2] + 0.5) * 3))
+    np.testing.assert_allclose(grads, jnp.mean(weights * x[::2]), rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_accumulated_step_is_the_step():
     state = jax.jit(init_state, static_argnums=0)(CONFIG, jax.random.key(0))
     optim = dataclasses.replace(CONFIG.optim, accumulate=4)
     data = dataclasses.replace(DATA, augment=False, num_pixels=256)

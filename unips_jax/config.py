@@ -52,7 +52,8 @@ class ModelConfig:
             ("corner", half a pixel off, as the authors' weights need).
         dtype: compute type; parameters stay float32 ("float64", for checks, needs
             `jax_enable_x64`).
-        remat: recompute Swin blocks and set attention in the backward pass.
+        remat: recompute Swin blocks and set attention in the backward pass, for memory
+            (on CPU Swin only, a few images at a time).
     """
 
     canonical_size: int = 256

@@ -141,58 +141,31 @@ def training_loss(
     Returns:
         The loss, and metrics: the mean angular error in degrees over the drawn pixels.
     """
-    # On CPU the compiler undoes rematerialisation everywhere but in loops.
+    # On CPU the decoder's chunks are small: nothing to recompute.
     on_cpu = jax.default_backend() == "cpu"
-    loop = on_cpu and config.remat and config.communication != "during"
     network = UniPS(dataclasses.replace(config, remat=config.remat and not on_cpu))
     batch, num_images = images.shape[:2]
-    grid = config.canonical_size // 4
     draws = jax.vmap(jax.random.split)(keys)  # [B, 2]
-    object_ = functools.partial(_prepare, config=config, num_pixels=num_pixels)
-    prepared = jax.vmap(object_)(images, mask, normals, draws[:, 0])
-    extract_key, combine_key, decoder_key = jax.random.split(draws[0, 1], 3)
-
-    def encoder(method: str, key: Array, *inputs: Any) -> Any:
-        return network.apply(
-            {"params": {"encoder": params["encoder"]}},
-            *inputs,
-            method=lambda network, *inputs: getattr(network.encoder, method)(*inputs),
-            rngs={"dropout": key},
-        )
-
-    def extract(part: tuple[Array, Array]) -> Any:
-        tokens, index = part
-        key = jax.random.fold_in(extract_key, index[0])
-        return encoder("extract", key, tokens, *rest)
-
-    # Without `vmap`: the gradients of plain products are faster.
-    rest = None, deterministic, num_images
-    inputs = prepared.inputs.reshape(-1, *prepared.inputs.shape[2:])  # [B * N, ...]
-    tokens = encoder("embed", extract_key, inputs), jnp.arange(len(inputs))
-    maps = map_chunks(extract, tokens, CHUNK_IMAGES) if loop else extract(tokens)
-    contexts = encoder("combine", combine_key, maps, *rest)
-    contexts = contexts.reshape(batch, num_images, *contexts.shape[1:])
+    prepare = functools.partial(
+        _prepare, config=config, num_pixels=num_pixels, grid_loss=grid_loss
+    )
+    prepared = jax.vmap(prepare)(images, mask, normals, draws[:, 0])
+    # For dropout: a faster generator than the default.
+    seeds = jax.random.bits(draws[0, 1], (2, 4))
+    encoder_key, decoder_key = jax.random.wrap_key_data(seeds, impl="rbg")
+    contexts = _contexts(
+        params["encoder"],
+        prepared.inputs,
+        encoder_key,
+        config=config,
+        deterministic=deterministic,
+    )
     zeros = config.context_sampling == "corner"
     sample = jax.vmap(functools.partial(ops.bilinear_sample, zeros=zeros))
     sampled = sample(contexts, prepared.rows, prepared.columns)  # [B, N, P, C]
-    observed, true = prepared.pixels, prepared.true
-    weights = jax.vmap(mean_weights)(prepared.drawn)
     if grid_loss:
-        # The grid's cells come first, then the drawn pixels.
-        def cells(x: Array) -> Array:
-            return x.reshape(*x.shape[:-3], grid * grid, x.shape[-1])
-
-        def prepend(first: Array, then: Array) -> Array:
-            return jnp.concatenate([first, then], axis=-2)
-
-        small = ops.resize_bilinear(prepared.images, (grid, grid))
-        observed = prepend(cells(small), observed)
-        sampled = prepend(cells(contexts), sampled)
-        small_normals = ops.normalize(ops.resize_bilinear(normals, (grid, grid)))
-        true = prepend(cells(small_normals), true)
-        small_mask = ops.resize_mask_nearest(mask, (grid, grid))
-        small_weights = jax.vmap(mean_weights)(small_mask.reshape(-1, grid * grid))
-        weights = jnp.concatenate([small_weights, weights], axis=-1)
+        cells = contexts.reshape(batch, num_images, -1, contexts.shape[-1])
+        sampled = jnp.concatenate([cells, sampled], axis=2)
 
     def score(decoder: Any, sets: Any, truth: Any) -> tuple[Array, Array]:
         """Weighted distances of a chunk's pixels, and cosines `[p, B]`."""
@@ -210,35 +183,64 @@ def training_loss(
         distance = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
         return jnp.sum(weights * distance), 1 - distance / 2
 
-    size = max(1, CHUNK_TOKENS // (batch * num_images)) if on_cpu else None
+    true, weights = (jnp.swapaxes(x, 0, 1) for x in (prepared.true, prepared.weights))
     loss, cosine = chunked_sum(
         score,
         params["decoder"],
-        tuple(x.transpose(2, 0, 1, 3) for x in (observed, sampled)),
-        (
-            jnp.arange(true.shape[1]),
-            true.swapaxes(0, 1),
-            weights.swapaxes(0, 1) / batch,
-        ),
-        size,
+        tuple(x.transpose(2, 0, 1, 3) for x in (prepared.observed, sampled)),
+        (jnp.arange(len(true)), true, weights / batch),
+        max(1, CHUNK_TOKENS // (batch * num_images)) if on_cpu else None,
     )
-    drawn = prepared.drawn
-    cosine = cosine[-drawn.shape[1] :].swapaxes(0, 1)
-    error = jnp.rad2deg(jnp.arccos(jnp.clip(cosine, -1, 1)))
-    error = jax.vmap(mean_weights)(drawn) * error
-    return loss, {"mae_deg": jnp.sum(error) / batch}
+    drawn = prepared.rows.shape[1]
+    error = jnp.rad2deg(jnp.arccos(jnp.clip(cosine[-drawn:], -1, 1)))
+    return loss, {"mae_deg": jnp.sum(weights[-drawn:] * error) / batch}
+
+
+def _contexts(
+    params: Any, inputs: Array, key: Array, *, config: ModelConfig, deterministic: bool
+) -> Array:
+    """The encoder of B objects: `[B, N, s, s, 4]` to `[B, N, s/4, s/4, C]`."""
+    # On CPU the compiler undoes rematerialisation everywhere but in loops.
+    loop = config.remat and jax.default_backend() == "cpu"
+    network = UniPS(dataclasses.replace(config, remat=config.remat and not loop))
+    batch, num_images, *rest = inputs.shape
+    options = None, deterministic, num_images
+
+    def run(method: str, key: Array, *inputs: Any) -> Any:
+        return network.apply(
+            {"params": {"encoder": params}},
+            *inputs,
+            method=lambda network, *inputs: getattr(network.encoder, method)(*inputs),
+            rngs={"dropout": key},
+        )
+
+    def extract(part: tuple[Array, Array]) -> Any:
+        tokens, index = part
+        return run("extract", jax.random.fold_in(key, index[0]), tokens, *options)
+
+    # Without `vmap` over objects: the gradients of plain products are faster.
+    tokens = run("embed", key, inputs.reshape(-1, *rest))
+    each = tokens, 1 + jnp.arange(len(tokens))
+    if loop and config.communication != "during":
+        maps = map_chunks(extract, each, CHUNK_IMAGES)
+    else:
+        maps = extract(each)
+    contexts = run("combine", jax.random.fold_in(key, 0), maps, *options)
+    return contexts.reshape(batch, num_images, *contexts.shape[1:])
 
 
 class _Prepared(NamedTuple):
-    """What the network gets of one object, and the truth at the drawn pixels."""
+    """What the network gets of one object, and the truth.
 
-    images: Array  # [N, H, W, 3], normalised
+    Pixels are P drawn ones, after the G cells of the contexts' grid if they count.
+    """
+
     inputs: Array  # [N, s, s, 4]
-    pixels: Array  # [N, P, 3]
+    observed: Array  # [N, G + P, 3]
     rows: Array  # [P]
     columns: Array  # [P]
-    true: Array  # [P, 3]
-    drawn: Array  # [P]
+    true: Array  # [G + P, 3]
+    weights: Array  # [G + P], of the pixels in the loss
 
 
 def _prepare(
@@ -249,6 +251,7 @@ def _prepare(
     *,
     config: ModelConfig,
     num_pixels: int,
+    grid_loss: bool,
 ) -> _Prepared:
     images = normalize_images(images, mask)
     frame = square_frame(mask, "image")
@@ -256,13 +259,22 @@ def _prepare(
     index, drawn = draw_pixels(mask, num_pixels, key)
     n, _, width, _ = images.shape
     grid = config.canonical_size // 4
+    observed = jnp.take(images.reshape(n, -1, 3), index, axis=1)
+    true = jnp.take(normals.reshape(-1, 3), index, axis=0)
+    weights = mean_weights(drawn)
+    if grid_loss:
+        small = ops.resize_bilinear(images, (grid, grid)).reshape(n, -1, 3)
+        observed = jnp.concatenate([small, observed], axis=1)
+        small_true = ops.normalize(ops.resize_bilinear(normals, (grid, grid)))
+        true = jnp.concatenate([small_true.reshape(-1, 3), true])
+        small_mask = ops.resize_mask_nearest(mask, (grid, grid)).reshape(-1)
+        weights = jnp.concatenate([mean_weights(small_mask), weights])
     offset = 0.5 if config.context_sampling == "center" else 0.0
     return _Prepared(
-        images,
         inputs,
-        pixels=jnp.take(images.reshape(n, -1, 3), index, axis=1),
+        observed,
         rows=(index // width - frame.top + offset) * grid / frame.side - 0.5,
         columns=(index % width - frame.left + offset) * grid / frame.side - 0.5,
-        true=jnp.take(normals.reshape(-1, 3), index, axis=0),
-        drawn=drawn,
+        true=true,
+        weights=weights,
     )
