@@ -247,9 +247,19 @@ def map_chunks(
     Chunks are evenly sized, the last one padded with `fill_value`.
     """
     total = jax.tree.leaves(xs)[0].shape[0]
-    chunks = -(-total // size)
-    if chunks == 1:
+    if total <= size:
         return jax.checkpoint(function)(xs)
+    parts = split_chunks(xs, size, fill_value=fill_value)
+    return join_chunks(jax.lax.map(jax.checkpoint(function), parts), total)
+
+
+def split_chunks(xs: Any, size: int, *, fill_value: float = 0) -> Any:
+    """Cuts arrays `[P, ...]` into chunks of at most `size`: `[chunks, p, ...]`.
+
+    Chunks are evenly sized, the last one padded with `fill_value`.
+    """
+    total = jax.tree.leaves(xs)[0].shape[0]
+    chunks = -(-total // size)
     size = -(-total // chunks)
 
     def split(x: Array) -> Array:
@@ -257,5 +267,9 @@ def map_chunks(
         x = jnp.pad(x, widths, constant_values=fill_value)
         return x.reshape(chunks, size, *x.shape[1:])
 
-    out = jax.lax.map(jax.checkpoint(function), jax.tree.map(split, xs))
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:total], out)
+    return jax.tree.map(split, xs)
+
+
+def join_chunks(parts: Any, total: int) -> Any:
+    """Undoes `split_chunks`: `[chunks, p, ...]` to `[total, ...]`."""
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:total], parts)

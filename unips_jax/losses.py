@@ -17,7 +17,13 @@ from jax import Array
 from unips_jax import ops
 from unips_jax.canonical import canonical_images, normalize_images, square_frame
 from unips_jax.config import ModelConfig
-from unips_jax.estimation import CHUNK_IMAGES, CHUNK_TOKENS, map_chunks
+from unips_jax.estimation import (
+    CHUNK_IMAGES,
+    CHUNK_TOKENS,
+    join_chunks,
+    map_chunks,
+    split_chunks,
+)
 from unips_jax.models.unips import UniPS
 
 
@@ -56,17 +62,9 @@ def chunked_sum(
         The sum, and the function's arrays, `[P, ...]`, without a derivative.
     """
     total = jax.tree.leaves(xs)[0].shape[0]
-    chunks = 1 if size is None else -(-total // size)
-    size = -(-total // chunks)
-
-    def split(x: Array) -> Array:
-        x = jnp.pad(x, [(0, chunks * size - total)] + [(0, 0)] * (x.ndim - 1))
-        return x.reshape(chunks, size, *x.shape[1:])
-
-    parts = jax.tree.map(split, (xs, constants))
+    parts = split_chunks((xs, constants), size or total)
     value, arrays = _chunked_sum(function, params, *parts)
-    arrays = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:total], arrays)
-    return value, arrays
+    return value, join_chunks(arrays, total)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -202,6 +200,7 @@ def _contexts(
     """The encoder of B objects: `[B, N, s, s, 4]` to `[B, N, s/4, s/4, C]`."""
     # On CPU the compiler undoes rematerialisation everywhere but in loops.
     loop = config.remat and jax.default_backend() == "cpu"
+    loop = loop and config.communication != "during"  # its images need each other
     network = UniPS(dataclasses.replace(config, remat=config.remat and not loop))
     batch, num_images, *rest = inputs.shape
     options = None, deterministic, num_images
@@ -221,10 +220,7 @@ def _contexts(
     # Without `vmap` over objects: the gradients of plain products are faster.
     tokens = run("embed", key, inputs.reshape(-1, *rest))
     each = tokens, 1 + jnp.arange(len(tokens))
-    if loop and config.communication != "during":
-        maps = map_chunks(extract, each, CHUNK_IMAGES)
-    else:
-        maps = extract(each)
+    maps = map_chunks(extract, each, CHUNK_IMAGES) if loop else extract(each)
     contexts = run("combine", jax.random.fold_in(key, 0), maps, *options)
     return contexts.reshape(batch, num_images, *contexts.shape[1:])
 

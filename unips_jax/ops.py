@@ -198,12 +198,18 @@ def convolution(
         kernel: `[h, w, C, features]`.
         strides: of rows and columns.
         padding: zeros before and after rows and columns.
-        **options: the library's defaults, which are the only ones there are.
+        **options: the library's others; dilations and groups must be 1.
 
     Returns:
         `[B, H', W', features]`.
+
+    Raises:
+        ValueError: for a dilation or groups.
     """
-    del options
+    for name in ("lhs_dilation", "rhs_dilation", "feature_group_count"):
+        value = options.get(name, 1)
+        if np.any(np.asarray(value) != 1):
+            raise ValueError(f"{name}: expected 1, got {value}")
     return _convolution(x, kernel, tuple(strides), tuple(padding))
 
 
