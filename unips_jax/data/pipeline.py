@@ -6,12 +6,13 @@ workers, so that a resumed run reads what it would have read.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import grain
 import numpy as np
 
-from unips_jax.data.sources import PSWildFolders, read_object
+from unips_jax.data.sources import PSWildFolders, TrainingObject, read_object
+
+READ_AHEAD = 4  # batches held ready, each read by a thread of its own
 
 
 def draw_num_images(choices: tuple[int, ...], seed: int, step: int) -> int:
@@ -51,33 +52,32 @@ def folder_batches(
     """
     source = PSWildFolders(Path(root), min_images=max(num_images))
 
-    def read(index: int, files: Any) -> dict[str, np.ndarray]:
-        step = index // batch_size
-        count = draw_num_images(num_images, seed, step)
-        key = np.random.default_rng((seed, step, index % batch_size))
-        chosen = key.permutation(len(files.photographs))[:count]
-        return read_object(files, chosen, size)
-
     share = batch_size // process[1]
+    mine = slice(process[0] * share, (process[0] + 1) * share)
+
+    def read(step: int, batch: list[TrainingObject]) -> dict[str, np.ndarray]:
+        count = draw_num_images(num_images, seed, step)
+        objects = []
+        for place, files in list(enumerate(batch))[mine]:
+            key = np.random.default_rng((seed, step, place))
+            chosen = key.permutation(len(files.photographs))[:count]
+            objects.append(read_object(files, chosen, size))
+        return {name: np.stack([x[name] for x in objects]) for name in objects[0]}
+
     dataset = (
         grain.MapDataset.source(source)  # type: ignore[arg-type]
         .seed(seed)
         .shuffle()
         .repeat()
-        .map_with_index(read)
-        .batch(batch_size, drop_remainder=True)[first:]
-        .map(lambda batch: _share(batch, process[0] * share, share))
+        .batch(batch_size, drop_remainder=True, batch_fn=list)
+        .map_with_index(read)[first:]
     )
-    iterable = dataset.to_iter_dataset()
+    # By default hundreds of batches are read ahead, by threads that starve this one.
+    ahead = grain.ReadOptions(num_threads=READ_AHEAD, prefetch_buffer_size=READ_AHEAD)
+    iterable = dataset.to_iter_dataset(ahead)
     if workers:
         from absl import flags
 
         flags.FLAGS.mark_as_parsed()
         iterable = iterable.mp_prefetch(grain.MultiprocessingOptions(workers))
     return iter(iterable)
-
-
-def _share(
-    batch: dict[str, np.ndarray], start: int, count: int
-) -> dict[str, np.ndarray]:
-    return {name: array[start : start + count] for name, array in batch.items()}
