@@ -1,11 +1,14 @@
 """Networks small enough to compile in seconds, for several test files."""
 
 import dataclasses
+from functools import partial
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 from unips_jax.config import ModelConfig
-from unips_jax.weights import random_weights
+from unips_jax.weights import init_params
 
 SMALL = ModelConfig(
     canonical_size=16,
@@ -29,18 +32,22 @@ SMALL = ModelConfig(
 
 
 def lively_weights(config=SMALL):
-    return lively(random_weights(config))
+    return lively(partial(init_params, config))
 
 
-def lively(params):
-    """Larger parameters than the initial ones, so that every path matters."""
-    leaves, tree = jax.tree.flatten(params)
-    keys = jax.random.split(jax.random.key(3), len(leaves))
-    noisy = [
-        x + 0.3 * jax.random.normal(k, x.shape)
-        for x, k in zip(leaves, keys, strict=True)
-    ]
-    return jax.tree.unflatten(tree, noisy)
+def lively(init, *arguments):
+    """Parameters larger than those `init` gives, so that every path matters.
+
+    NumPy draws them: compiling an initialisation takes longer than most tests.
+    """
+    generator = np.random.default_rng(3)
+
+    def draw(path, shape):
+        value = 0.3 * generator.standard_normal(shape.shape)
+        return jnp.asarray(value + (path[-1].key == "scale"), shape.dtype)
+
+    shapes = jax.eval_shape(init, jax.random.key(0), *arguments)
+    return jax.tree_util.tree_map_with_path(draw, shapes)
 
 
 def with_dtype(config, dtype):

@@ -38,8 +38,7 @@ def inputs(n=3, size=20, pixels=17):
 def make(config, n=3):
     network = UniPS(config)
     arguments = inputs(n, config.canonical_size)
-    params = jax.jit(network.init)(jax.random.key(0), *arguments)["params"]
-    return network, lively(params), arguments
+    return network, lively(network.init, *arguments)["params"], arguments
 
 
 # Every value once; the other pairs are slow tests.
@@ -93,7 +92,7 @@ def test_pooling_equals_the_plain_block(attention):
     """The folded products of PMA against a literal softmax attention."""
     y = jax.random.normal(jax.random.key(1), (5, 4, 12))
     module = PMA(12, 3, 7, attention)
-    params = lively(module.init(jax.random.key(0), y, None, True)["params"])
+    params = lively(module.init, y, None, True)["params"]
     actual = module.apply({"params": params}, y, None, True)
 
     def norm(x, p):

@@ -5,7 +5,6 @@ viewer is scored beside the network: a result near it means that something is br
 """
 
 import argparse
-import functools
 import json
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -36,6 +35,8 @@ from unips_jax.weights import load_weights
 # Training keys are folded from small seeds; this one is apart from all of them.
 _HELD_OUT_SEED = 0x7E57
 
+_render = jax.jit(render_scene, static_argnames=("size", "num_images", "config"))
+
 
 def held_out_key(index: int) -> jax.Array:
     """The key of held-out scene number `index`."""
@@ -53,17 +54,14 @@ def estimate_held_out(
     **scene_options: Any,
 ) -> Iterator[tuple[Scene, jax.Array]]:
     """Held-out scenes and their estimated normals; arguments as in `validate`."""
-    render = jax.jit(
-        functools.partial(
-            render_scene,
+    for index in range(count):
+        scene = _render(
+            held_out_key(index),
             size=size,
             num_images=num_images,
             config=scenes,
             **scene_options,
         )
-    )
-    for index in range(count):
-        scene = render(held_out_key(index))
         yield (
             scene,
             estimate_normals(
