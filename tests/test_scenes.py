@@ -1,3 +1,5 @@
+"""Geometry, light and shadow against closed forms."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,8 +12,8 @@ from unips_jax.scenes import (
     grids,
     lights,
     materials,
-    render,
     sdf,
+    shading,
     tracing,
 )
 
@@ -118,8 +120,8 @@ def directional(geometry_, surface, direction):
     direction = jnp.asarray(direction, jnp.float32)
     direction = direction / jnp.linalg.norm(direction)
     near, radius = jnp.float32(0), jnp.float32(0.005)
-    clear = jax.jit(render.key_clearance)(geometry_, direction, near)
-    image = render.shade_key_light(geometry_, surface, direction, near, radius, clear)
+    clear = jax.jit(shading.key_clearance)(geometry_, direction, near)
+    image = shading.shade_key_light(geometry_, surface, direction, near, radius, clear)
     return np.asarray(image).reshape(3, *geometry_.mask.shape)[0]
 
 
@@ -215,7 +217,7 @@ def test_light_from_the_left_brightens_slopes_that_face_left(sphere):
 
 
 def test_lambertian_sphere_under_a_constant_environment(sphere):
-    image = render.shade_environment(
+    image = shading.shade_environment(
         sphere, matt(sphere), constant_environment(2.0), jnp.zeros((1, 3))
     )
     inside = np.asarray(sphere.mask).reshape(-1)
@@ -238,69 +240,6 @@ def test_cast_shadow_of_a_ball_over_a_plane():
     np.testing.assert_allclose(outside, lit, rtol=0.05)
 
 
-def _surface(base, roughness, metallic, specular=1.0):
-    return materials.Surface(
-        jnp.full((3, 1), base),
-        jnp.full(1, roughness),
-        jnp.full(1, metallic),
-        jnp.float32(specular),
-    )
-
-
-def _brdf(surface, light, view):
-    half = light + view
-    half = half / jnp.linalg.norm(half, axis=-1, keepdims=True)
-    return materials.reflectance(
-        surface,
-        n_l=light[:, 2],
-        n_v=view[:, 2],
-        n_h=half[:, 2],
-        v_h=jnp.sum(view * half, -1),
-    )[0]
-
-
-def _hemisphere(count=64):
-    """Midpoints and solid angles of a fine grid over the hemisphere."""
-    z = (np.arange(4 * count) + 0.5) / (4 * count)
-    phi = 2 * np.pi * (np.arange(4 * count) + 0.5) / (4 * count)
-    z, phi = (grid.ravel() for grid in np.meshgrid(z, phi))
-    ring = np.sqrt(1 - z**2)
-    directions = np.stack([ring * np.cos(phi), ring * np.sin(phi), z], -1)
-    return jnp.asarray(directions, jnp.float32), 2 * np.pi / z.size
-
-
-@pytest.mark.parametrize("metallic", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("roughness", [0.2, 0.6, 1.0])
-def test_reflectance_is_reciprocal(metallic, roughness):
-    a = np.random.default_rng(0).normal(size=(2, 50, 3)).astype(np.float32)
-    a[..., 2] = np.abs(a[..., 2]) + 0.05
-    light, view = a / np.linalg.norm(a, axis=-1, keepdims=True)
-    surface = _surface(0.7, roughness, metallic)
-    there = _brdf(surface, jnp.asarray(light), jnp.asarray(view))
-    back = _brdf(surface, jnp.asarray(view), jnp.asarray(light))
-    np.testing.assert_allclose(there, back, rtol=2e-5)
-
-
-@pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
-@pytest.mark.parametrize("cosine", [0.2, 0.6, 1.0])
-def test_white_furnace(roughness, cosine):
-    light, solid_angle = _hemisphere()
-    view = jnp.asarray([[np.sqrt(1 - cosine**2), 0.0, cosine]], jnp.float32)
-    view = jnp.broadcast_to(view, light.shape)
-
-    def albedo(surface):
-        return float(jnp.sum(_brdf(surface, light, view) * light[:, 2]) * solid_angle)
-
-    lambertian = albedo(_surface(1.0, roughness, 0.0, 0.0))
-    assert lambertian == pytest.approx(1.0, abs=1e-3)
-    white = albedo(_surface(1.0, roughness, 0.0))
-    assert 0.96 < white < 1.02
-    metal = albedo(_surface(1.0, roughness, 1.0))
-    a, b = materials.environment_brdf(jnp.float32(cosine), jnp.float32(roughness))
-    assert metal < 1.001
-    assert metal == pytest.approx(float(a + b), abs=0.04)
-
-
 def test_constant_environment_never_amplifies(sphere):
     count = sphere.mask.size
     for metallic in (0.0, 1.0):
@@ -310,7 +249,7 @@ def test_constant_environment_never_amplifies(sphere):
             jnp.full(count, metallic),
             jnp.float32(1),
         )
-        image = render.shade_environment(
+        image = shading.shade_environment(
             sphere, surface, constant_environment(1.0), jnp.ones((1, 3))
         )
         inside = np.asarray(sphere.mask).reshape(-1)

@@ -1,15 +1,6 @@
-"""Shades a geometry under drawn materials and lights, and records it.
-
-Every image is lit by one key light (directional, near or the sun), whose shadow rays
-are marched for each pixel, and by an environment, whose diffuse part is a matrix
-product of the tabulated visibility times cosine with the radiance in the table's
-directions; its glossy part is the radiance around the mirror direction, already
-blurred, times the visibility there. Where the environment is hidden, the object's
-own mean radiance takes its place: one bounce, roughly.
-"""
+"""Scenes: a geometry shaded under drawn materials and lights, and recorded."""
 
 import functools
-import math
 from typing import NamedTuple
 
 import jax
@@ -19,28 +10,11 @@ from jax import Array
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.geometry import Geometry, render_geometry
-from unips_jax.scenes.grids import pick, spread
-from unips_jax.scenes.lights import (
-    Environment,
-    KeyLights,
-    draw_lights,
-    environment_radiance,
-    key_light_at,
-)
-from unips_jax.scenes.materials import (
-    Surface,
-    dielectric_albedo,
-    draw_surface,
-    environment_brdf,
-    fresnel_f0,
-    reflectance,
-    specular_weight,
-)
-from unips_jax.scenes.noise import Point, dot, normalize
+from unips_jax.scenes.lights import draw_lights
+from unips_jax.scenes.materials import draw_surface
 from unips_jax.scenes.sensor import record
-from unips_jax.scenes.tracing import clearance, object_point, soft_visibility
-
-KEY_STRIDE = 2
+from unips_jax.scenes.shading import radiance, split
+from unips_jax.scenes.tracing import object_point
 
 
 class Scene(NamedTuple):
@@ -71,160 +45,6 @@ class Scene(NamedTuple):
     light_intensities: Array
 
 
-def _split(vectors: Array) -> Point:
-    """Components of vectors `[..., 3]`, flat."""
-    x, y, z = vectors.reshape(-1, 3).T
-    return x, y, z
-
-
-def key_clearance(
-    geometry: Geometry, vector: Array, near: Array, *, steps: int = 10
-) -> Array:
-    """Clearance of the rays to a key light, `[P]` for P = H W.
-
-    Marched for every second pixel and interpolated: it is continuous across the
-    edges of shadows, which stay sharp when it is compared with zero afterwards.
-    """
-    mask = geometry.mask
-    fields = jnp.concatenate([geometry.positions, geometry.normals], -1)
-    picked = pick(jnp.moveaxis(fields, -1, 0), mask, KEY_STRIDE)
-    pixel = 2 * geometry.camera.window[2] / mask.shape[0]
-    frame = picked.shape[1:]
-    picked = picked.reshape(6, -1)
-    points = tuple(picked[:3])
-    light, reach, _ = key_light_at(vector, near, points)  # type: ignore[arg-type]
-    origin = tuple(picked[:3] + (0.01 + 0.75 * pixel) * picked[3:])
-    clear = clearance(
-        *(geometry.shape, geometry.to_object, origin, light, reach),  # type: ignore[arg-type]
-        steps=steps,
-        first=0.02,
-    )
-    clear = jnp.clip(clear, -0.5, 0.5).reshape(frame)
-    return spread(clear, mask, KEY_STRIDE).reshape(-1)
-
-
-def shade_key_light(
-    geometry: Geometry,
-    surface: Surface,
-    vector: Array,
-    near: Array,
-    radius: Array,
-    clear: Array,
-) -> Array:
-    """Radiance under one key light of unit white colour, `[3, P]` for P = H W."""
-    point, normal = _split(geometry.positions), _split(geometry.normals)
-    view = _split(geometry.view)
-    light, _, attenuation = key_light_at(vector, near, point)
-    n_l, n_v = dot(normal, light), jnp.maximum(dot(normal, view), 0.02)
-    lit = jnp.maximum(n_l, 0.0)
-    size = jnp.where(near > 0, radius * jnp.sqrt(attenuation), radius)
-    sharpness = 1 / jnp.maximum(size, 0.02)
-    seen = soft_visibility(clear, n_l, sharpness)
-    half = normalize((light[0] + view[0], light[1] + view[1], light[2] + view[2]))
-    brdf = reflectance(
-        surface,
-        n_l=jnp.maximum(n_l, 1e-3),
-        n_v=n_v,
-        n_h=jnp.maximum(dot(normal, half), 0.0),
-        v_h=jnp.maximum(dot(view, half), 0.0),
-        widening=0.4 * jnp.minimum(size, 1.0),
-    )
-    return brdf * (lit * seen * attenuation)
-
-
-def shade_environment(
-    geometry: Geometry,
-    surface: Surface,
-    environment: Environment,
-    bounce: Array,
-) -> Array:
-    """Radiance under the environment in all its rotations.
-
-    Args:
-        geometry: the object.
-        surface: its reflectance.
-        environment: N rotations of it.
-        bounce: `[N, 3]`, the object's mean radiance, seen where the environment is
-            hidden.
-
-    Returns:
-        `[N, 3, P]` for P = H W.
-    """
-    normal, view = _split(geometry.normals), _split(geometry.view)
-    n_v = jnp.maximum(dot(normal, view), 0.02)
-    a, b = environment_brdf(n_v, surface.roughness)
-    f0 = fresnel_f0(surface)
-    specular = (f0 * a + b) * specular_weight(surface)  # [3, P]
-    dielectric = surface.specular * dielectric_albedo(n_v, surface.roughness)
-    diffuse = surface.base_color * (1 - surface.metallic) * (1 - dielectric)
-    basis = tuple(geometry.directions.T[..., None])
-    visibility = geometry.visibility.reshape(geometry.directions.shape[0], -1)
-    cosine = jnp.maximum(sum(n * w for n, w in zip(normal, basis, strict=True)), 0.0)
-    weight = cosine / jnp.maximum(jnp.sum(cosine, 0), 1e-3)  # [D, P]
-    seen = weight * visibility
-    width = math.sqrt(1.8 / geometry.directions.shape[0])
-    towards = _split(geometry.directions)
-    table = jnp.stack(
-        jax.vmap(
-            lambda r: jnp.stack(
-                environment_radiance(environment, r, towards, jnp.float32(width))
-            )
-        )(environment.rotation),
-    )  # [N, 3, D]
-    open_share = jnp.sum(seen, 0)
-    irradiance = jnp.einsum("dp,ncd->ncp", seen, table)
-    irradiance = irradiance + (1 - open_share) * bounce[..., None]
-    # The glossy lobe: environment around the mirror direction, where it is seen.
-    n_dot_v = dot(normal, view)
-    mirror = tuple(2 * n_dot_v * n - v for n, v in zip(normal, view, strict=True))
-    lobe = jnp.maximum(sum(m * w for m, w in zip(mirror, basis, strict=True)), 0.0)
-    lobe = lobe * lobe
-    lobe = lobe * lobe * lobe + 1e-4
-    free = jnp.sum(lobe * visibility, 0) / jnp.sum(lobe, 0)
-    blur = 0.8 * surface.roughness**2
-
-    def reflected(rotation: Array) -> Array:
-        return jnp.stack(environment_radiance(environment, rotation, mirror, blur))  # type: ignore[arg-type]
-
-    glossy = jax.lax.map(reflected, environment.rotation)
-    glossy = free * glossy + (1 - free) * bounce[..., None]
-    total = diffuse * irradiance + specular * glossy
-    return total * environment.scale[:, None, None]
-
-
-def _radiance(
-    geometry: Geometry,
-    surface: Surface,
-    keys: KeyLights,
-    environment: Environment,
-    config: SceneConfig,
-) -> Array:
-    """Linear radiance of every image, `[N, 3, P]`."""
-    clear = jax.vmap(lambda *light: key_clearance(geometry, *light))(
-        keys.vector, keys.near
-    )
-    direct = jax.lax.map(
-        lambda light: shade_key_light(geometry, surface, *light),
-        (keys.vector, keys.near, keys.radius, clear),
-    )
-    direct = direct * keys.color[..., None]
-    mask = geometry.mask.reshape(-1).astype(jnp.float32)
-    area = jnp.maximum(jnp.sum(mask), 1.0)
-    albedo = jnp.sum(fresnel_f0(surface) * surface.metallic * mask, 1) / area
-    plain = surface.base_color * (1 - surface.metallic) * mask
-    albedo = albedo + jnp.sum(plain, 1) / area
-    table = jax.vmap(
-        lambda r: jnp.stack(
-            environment_radiance(
-                environment, r, _split(geometry.directions), jnp.float32(0.25)
-            )
-        )
-    )(environment.rotation)
-    bounce = 0.7 * albedo * jnp.mean(table, -1) * config.interreflection
-    around = shade_environment(geometry, surface, environment, bounce)
-    return direct + around
-
-
 def shade(
     key: Array,
     geometry: Geometry,
@@ -247,23 +67,21 @@ def shade(
     config = config or SceneConfig()
     key_kind, key_surface, key_lights, key_sensor = jax.random.split(key, 4)
     draws = Draws(key_kind, 8)
-    light, matter = (
-        draws.choice(config.light_weights),
-        draws.choice(config.material_weights),
-    )
+    light = draws.choice(config.light_weights)
     light = light if light_kind is None else jnp.int32(light_kind)
+    matter = draws.choice(config.material_weights)
     matter = matter if material is None else jnp.int32(material)
     shape = geometry.shape
-    local = object_point(shape, geometry.to_object, _split(geometry.positions))
+    local = object_point(shape, geometry.to_object, split(geometry.positions))
     inverse = 1 / shape.radius
     local = (local[0] * inverse, local[1] * inverse, local[2] * inverse)
     surface = draw_surface(key_surface, matter, local, geometry.height.reshape(-1))
     keys, environment = draw_lights(
         Draws(key_lights, 160 + 24 * num_images), light, num_images
     )
-    radiance = _radiance(geometry, surface, keys, environment, config)
-    radiance = radiance.reshape(num_images, 3, *geometry.mask.shape)
-    images, mask, gain = record(key_sensor, radiance, geometry.mask, config)
+    linear = radiance(geometry, surface, keys, environment, config)
+    linear = linear.reshape(num_images, 3, *geometry.mask.shape)
+    images, mask, gain = record(key_sensor, linear, geometry.mask, config)
     directional = light == 0
     return Scene(
         images=jnp.moveaxis(images, 1, -1),

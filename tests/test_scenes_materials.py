@@ -1,0 +1,70 @@
+"""Reflectance against closed forms: reciprocity, white furnace."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from unips_jax.scenes import materials
+
+
+def _surface(base, roughness, metallic, specular=1.0):
+    return materials.Surface(
+        jnp.full((3, 1), base),
+        jnp.full(1, roughness),
+        jnp.full(1, metallic),
+        jnp.float32(specular),
+    )
+
+
+def _brdf(surface, light, view):
+    half = light + view
+    half = half / jnp.linalg.norm(half, axis=-1, keepdims=True)
+    return materials.reflectance(
+        surface,
+        n_l=light[:, 2],
+        n_v=view[:, 2],
+        n_h=half[:, 2],
+        v_h=jnp.sum(view * half, -1),
+    )[0]
+
+
+def _hemisphere(count=64):
+    """Midpoints and solid angles of a fine grid over the hemisphere."""
+    z = (np.arange(4 * count) + 0.5) / (4 * count)
+    phi = 2 * np.pi * (np.arange(4 * count) + 0.5) / (4 * count)
+    z, phi = (grid.ravel() for grid in np.meshgrid(z, phi))
+    ring = np.sqrt(1 - z**2)
+    directions = np.stack([ring * np.cos(phi), ring * np.sin(phi), z], -1)
+    return jnp.asarray(directions, jnp.float32), 2 * np.pi / z.size
+
+
+@pytest.mark.parametrize("metallic", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("roughness", [0.2, 0.6, 1.0])
+def test_reflectance_is_reciprocal(metallic, roughness):
+    a = np.random.default_rng(0).normal(size=(2, 50, 3)).astype(np.float32)
+    a[..., 2] = np.abs(a[..., 2]) + 0.05
+    light, view = a / np.linalg.norm(a, axis=-1, keepdims=True)
+    surface = _surface(0.7, roughness, metallic)
+    there = _brdf(surface, jnp.asarray(light), jnp.asarray(view))
+    back = _brdf(surface, jnp.asarray(view), jnp.asarray(light))
+    np.testing.assert_allclose(there, back, rtol=2e-5)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("cosine", [0.2, 0.6, 1.0])
+def test_white_furnace(roughness, cosine):
+    light, solid_angle = _hemisphere()
+    view = jnp.asarray([[np.sqrt(1 - cosine**2), 0.0, cosine]], jnp.float32)
+    view = jnp.broadcast_to(view, light.shape)
+
+    def albedo(surface):
+        return float(jnp.sum(_brdf(surface, light, view) * light[:, 2]) * solid_angle)
+
+    lambertian = albedo(_surface(1.0, roughness, 0.0, 0.0))
+    assert lambertian == pytest.approx(1.0, abs=1e-3)
+    white = albedo(_surface(1.0, roughness, 0.0))
+    assert 0.96 < white < 1.02
+    metal = albedo(_surface(1.0, roughness, 1.0))
+    a, b = materials.environment_brdf(jnp.float32(cosine), jnp.float32(roughness))
+    assert metal < 1.001
+    assert metal == pytest.approx(float(a + b), abs=0.04)
