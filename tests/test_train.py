@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from training_runs import CONFIG, DATA, batch
 
-from unips_jax.train_state import init_state
+from unips_jax.train_state import new_state
 from unips_jax.train_step import _accumulate, augment, train_step
 
 
@@ -19,7 +19,7 @@ def test_loss_falls(name):
     config = dataclasses.replace(
         CONFIG, optim=dataclasses.replace(CONFIG.optim, name=name)
     )
-    state = jax.jit(init_state, static_argnums=0)(config, jax.random.key(0))
+    state = new_state(config, jax.random.key(0))
     step = jax.jit(train_step, static_argnames="config")
     data, losses = batch(), []
     for _ in range(30):
@@ -43,7 +43,7 @@ def test_accumulation_is_the_mean_of_its_parts():
 
 @pytest.mark.slow
 def test_accumulated_step_is_the_step():
-    state = jax.jit(init_state, static_argnums=0)(CONFIG, jax.random.key(0))
+    state = new_state(CONFIG, jax.random.key(0))
     optim = dataclasses.replace(CONFIG.optim, accumulate=4)
     data = dataclasses.replace(DATA, augment=False, num_pixels=256)
     whole = dataclasses.replace(CONFIG, data=data)

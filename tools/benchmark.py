@@ -14,6 +14,7 @@ import functools
 import json
 import resource
 import statistics
+import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,10 +26,11 @@ import numpy as np
 
 import unips_jax
 from unips_jax.command import InputError, command, keep_compiled
+from unips_jax.compilation import compile_together
 from unips_jax.config import Config, DataConfig, ModelConfig
 from unips_jax.estimation import estimate_normals
 from unips_jax.train import load_config
-from unips_jax.train_state import init_state
+from unips_jax.train_state import new_state
 from unips_jax.train_step import train_step
 from unips_jax.weights import OFFICIAL_CONFIG, random_weights
 
@@ -175,8 +177,11 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
         "mask": jnp.asarray(mask)[None].repeat(data.batch_size, 0),
         "normals": jnp.asarray(normals)[None].repeat(data.batch_size, 0),
     }
-    state = jax.jit(init_state, static_argnums=0)(config, jax.random.key(0))
-    step = jax.jit(functools.partial(train_step, config=config), donate_argnums=0)
+    state = new_state(config, jax.random.key(0))
+    step = compile_together(
+        jax.jit(functools.partial(train_step, config=config), donate_argnums=0),
+        report=lambda line: print(line, file=sys.stderr),
+    )
     key = jax.random.key(1)
     state, _ = jax.block_until_ready(step(state, batch, key))
     first_peak = peak_memory_gb()

@@ -12,7 +12,7 @@ import json
 import runpy
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from jax.sharding import Mesh
-from orbax.checkpoint import multihost
 
 from unips_jax.checkpoint import Checkpoints
 from unips_jax.command import InputError, command, keep_compiled
+from unips_jax.compilation import compile_together
 from unips_jax.config import Config, to_json
 from unips_jax.data.pipeline import draw_num_images, folder_batches
 from unips_jax.scenes import render_batch
@@ -36,7 +36,7 @@ from unips_jax.sharding import (
     to_host,
 )
 from unips_jax.train_log import TrainLog
-from unips_jax.train_state import TrainState, init_state
+from unips_jax.train_state import TrainState, init_state, new_state
 from unips_jax.train_step import Batch, train_step
 from unips_jax.validation import validate, validation_pictures
 from unips_jax.weights import load_weights, save_weights
@@ -67,12 +67,11 @@ def train(
     key = jax.random.key(config.train.seed)
     init_key, scene_key, step_key = jax.random.split(key, 3)
 
-    init = functools.partial(init_state, config)
-    shapes = jax.eval_shape(init, init_key)
+    shapes = jax.eval_shape(functools.partial(init_state, config), init_key)
     shardings = state_sharding(shapes, mesh)
     with Checkpoints(workdir, config) as checkpoints:
         if checkpoints.latest_step() is None:
-            state = jax.jit(init, out_shardings=shardings)(init_key)
+            state = new_state(config, init_key, shardings)
             if init_weights is not None:
                 state = _start_from(state, init_weights, config)
             record: dict[str, Any] = {"best_mae_deg": None}
@@ -81,13 +80,13 @@ def train(
             state, record = checkpoints.restore(abstract)
         first = int(state.step)
         log = TrainLog(workdir, first, config.train.steps)
-        run_step = _compile_together(
+        run_step = compile_together(
             jax.jit(
                 functools.partial(train_step, config=config),
                 donate_argnums=0,
                 out_shardings=(shardings, replicated(mesh)),
             ),
-            log,
+            log.line,
         )
         batches = _batches(config, scene_key, mesh, first)
         stop = _stop_on_sigterm()
@@ -112,29 +111,6 @@ def train(
     params = to_host(state.released_params())
     _write_weights(workdir / "last.safetensors", config, params, int(state.step), {})
     return state
-
-
-def _compile_together(
-    step: Any, log: TrainLog
-) -> Callable[..., tuple[TrainState, Any]]:
-    """The jitted step; no process runs it before all have compiled it.
-
-    Processes do not compile equally fast, and collectives between them give up after
-    half a minute on CPU.
-    """
-    wait = multihost.get_barrier_sync_fn()
-    compiled: dict[str, Any] = {}
-
-    def run(state: TrainState, batch: Batch, key: jax.Array) -> tuple[TrainState, Any]:
-        types = str(jax.tree.map(jax.typeof, batch))
-        if types not in compiled:
-            count = batch["images"].shape[1]
-            log.line(f"compiling for sets of {count} images; it takes a minute or so")
-            compiled[types] = step.lower(state, batch, key).compile()
-            wait(key=f"compiled {types}", timeout_ms=3_600_000)
-        return compiled[types](state, batch, key)
-
-    return run
 
 
 def _with_sharding(shape: jax.ShapeDtypeStruct, sharding: Any) -> jax.ShapeDtypeStruct:

@@ -1,5 +1,6 @@
 """What a training step changes."""
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -46,3 +47,15 @@ def init_state(config: Config, key: Array) -> TrainState:
         opt_state=optimizer.init(params),
         ema_params=jax.tree.map(jnp.copy, params) if config.optim.ema_decay else None,
     )
+
+
+def new_state(config: Config, key: Array, shardings: Any = None) -> TrainState:
+    """`init_state`, compiled; its program, as large as a step's, does not stay.
+
+    Args:
+        config: of the run.
+        key: for the parameters.
+        shardings: of the state; None for one device.
+    """
+    program = jax.jit(functools.partial(init_state, config), out_shardings=shardings)
+    return program(key)
