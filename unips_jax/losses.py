@@ -148,9 +148,7 @@ def training_loss(
         _prepare, config=config, num_pixels=num_pixels, grid_loss=grid_loss
     )
     prepared = jax.vmap(prepare)(images, mask, normals, draws[:, 0])
-    # For dropout: a faster generator than the default.
-    seeds = jax.random.bits(draws[0, 1], (2, 4))
-    encoder_key, decoder_key = jax.random.wrap_key_data(seeds, impl="rbg")
+    encoder_key, decoder_key = jax.random.split(draws[0, 1])
     contexts = _contexts(
         params["encoder"],
         prepared.inputs,

@@ -22,6 +22,7 @@ from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
 from unips_jax import ops
+from unips_jax.models.dropout import Dropout
 
 
 def truncated_normal(stddev: float = 0.02) -> nn.initializers.Initializer:
@@ -122,7 +123,7 @@ class SetMLP(nn.Module):
     @nn.compact
     def __call__(self, x: Array, deterministic: bool) -> Array:
         """Applies the MLP to `[..., C]`."""
-        dropout = nn.Dropout(self.dropout_rate)
+        dropout = Dropout(self.dropout_rate)
         hidden = layer_norm(self.dtype, "norm")(x) if self.use_layer_norm else x
         hidden = dense(self.mlp_dim, self.dtype, "fc1")(hidden)
         hidden = dropout(ops.gelu(hidden), deterministic)
@@ -171,7 +172,7 @@ class SAB(nn.Module):
         k = dense(self.features, self.dtype, "key")(keys)
         v = dense(self.features, self.dtype, "value")(keys)
 
-        dropout = nn.Dropout(self.dropout_rate)
+        dropout = Dropout(self.dropout_rate)
         width = self.features // self.num_heads if pre_norm else self.features
         attended = dot_product_attention(
             q,
@@ -283,7 +284,7 @@ class PMA(nn.Module):
         if valid is not None:
             logits = jnp.where(valid[:, None, None], logits, -jnp.inf)
         weights = jax.nn.softmax(logits, axis=-3)
-        weights = nn.Dropout(self.dropout_rate)(weights, deterministic).astype(y.dtype)
+        weights = Dropout(self.dropout_rate)(weights, deterministic).astype(y.dtype)
 
         # One mixture of members per seed and head, then each head's values from it
         mixing = weights.reshape(*weights.shape[:-2], -1)  # [..., N, seeds * heads]
