@@ -1,6 +1,7 @@
 """Speed and memory, as shares of this run's own matrix products.
 
-    python tools/benchmark.py [--config unips] [--images 10] [--size 512] [--train]
+    python tools/benchmark.py [--config FILE] [--images 10] [--size 512]
+    python tools/benchmark.py --train --config configs/unips.py --objects 1 --images 6
 
 Prints one JSON line: versions, device, medians. Absolute seconds say little on shared
 machines; so the rate of every part is given as a share of the rate of float32 matrix
@@ -10,6 +11,7 @@ implementation saves by rearranging counts in its favour, what it adds against i
 """
 
 import argparse
+import dataclasses
 import functools
 import json
 import resource
@@ -226,6 +228,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--train", action="store_true", help="a training step instead")
+    parser.add_argument("--objects", type=int, help="in it; else what --config says")
     arguments = parser.parse_args(argv)
     if arguments.repeats < 1:
         raise InputError(f"--repeats {arguments.repeats}: expected 1 or more")
@@ -235,6 +238,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         config = Config(model=OFFICIAL_CONFIG, data=data)
     else:
         config = load_config(arguments.config)
+    if arguments.objects is not None:
+        data = dataclasses.replace(config.data, batch_size=arguments.objects)
+        config = dataclasses.replace(config, data=data)
     if arguments.train:
         result = training_benchmark(config, arguments.images, arguments.repeats)
     else:

@@ -5,6 +5,7 @@ metadata, the `ModelConfig` and a record of how they were made. Half precision i
 file becomes float32 in memory.
 """
 
+import functools
 import hashlib
 import json
 import os
@@ -234,7 +235,7 @@ def params_hash(config: ModelConfig, params: Params) -> str:
 
 def random_weights(config: ModelConfig, *, seed: int = 0) -> Params:
     """Untrained parameters, as training starts from."""
-    return jax.jit(init_params, static_argnums=0)(config, jax.random.key(seed))
+    return jax.jit(functools.partial(init_params, config))(jax.random.key(seed))
 
 
 def init_params(config: ModelConfig, key: jax.Array) -> Params:
