@@ -54,7 +54,7 @@ def computed(official, golden):
     network = UniPS(config)
 
     @jax.jit
-    def encode(images, mask):
+    def encode(params, images, mask):
         inputs = ops.resize_bilinear(images, (64, 64))
         small = ops.resize_mask_nearest(mask, (64, 64))[None, :, :, None]
         inputs = jnp.concatenate(
@@ -68,18 +68,18 @@ def computed(official, golden):
         out |= {f"comm_{i}": x for i, x in enumerate(shared)}
         return out | {"glc": bound.encoder.fuse(shared)}
 
-    arrays = encode(golden["images"], golden["mask"])
+    arrays = encode(params, golden["images"], golden["mask"])
     y, x = golden["pixels_yx"].T
 
     @jax.jit
-    def decode(contexts, pixels):
+    def decode(params, contexts, pixels):
         bound = network.bind({"params": params})
         sampled = bound.sample(contexts, y * 16 / 96 - 0.5, x * 16 / 96 - 0.5)
         features = bound.decoder.aggregate(pixels, sampled)
         return features, bound.decoder.predict(features)
 
     pixels = golden["images"][:, y, x].transpose(1, 0, 2)
-    features, predicted = decode(arrays["glc"], pixels)
+    features, predicted = decode(params, arrays["glc"], pixels)
     return arrays | {"agg_rows": features, "pred_rows": predicted}
 
 
