@@ -2,8 +2,8 @@
 
     unips train --config configs/tiny.py --workdir runs/tiny
 
-5.6 M parameters. The shipped weights are interim: about 9,650 steps in seven runs on two
-CPU cores (3,000 take about two hours), 14.9 degrees on 256 held-out scenes with 8
+5.6 M parameters. The shipped weights are interim: about 9,650 steps in seven runs on
+two CPU cores (3,000 take about two hours), 14.9 degrees on 256 held-out scenes with 8
 images (constant normal 38.7); the 3,000 steps below were not run in one go yet.
 
 What was tried in short runs: Muon beats AdamW by about 3 degrees after 100 steps from
