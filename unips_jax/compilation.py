@@ -23,6 +23,9 @@ def compile_together(step: Any, report: Callable[[str], None]) -> Step:
     Args:
         step: what `jax.jit` gave.
         report: called with a line before every compilation.
+
+    Returns:
+        A function like `step` that compiles once for every shape of batch.
     """
     wait = multihost.get_barrier_sync_fn()
     compiled: dict[str, Step] = {}

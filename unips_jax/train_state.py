@@ -56,6 +56,9 @@ def new_state(config: Config, key: Array, shardings: Any = None) -> TrainState:
         config: of the run.
         key: for the parameters.
         shardings: of the state; None for one device.
+
+    Returns:
+        The state, placed as the shardings say.
     """
     program = jax.jit(functools.partial(init_state, config), out_shardings=shardings)
     return program(key)

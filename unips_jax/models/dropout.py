@@ -20,6 +20,9 @@ def dropout(x: Array, rate: float, key: Array) -> Array:
         x: `[...]`.
         rate: the share of zeros, in [0, 1).
         key: a random key.
+
+    Returns:
+        `[...]`; the rate is rounded to a multiple of 2^-32.
     """
     offset, word = jax.random.bits(key, (2,), jnp.uint32)
     bits = jax.lax.iota(jnp.uint32, math.prod(x.shape)).reshape(x.shape) + offset
