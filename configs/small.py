@@ -44,6 +44,7 @@ def get_config() -> Config:
             num_pixels=1024,
             max_tokens=2048,
             grid_loss=False,
+            augment=False,
         ),
         optim=OptimConfig(
             name="muon",

@@ -50,6 +50,7 @@ def get_config() -> Config:
             num_pixels=384,
             max_tokens=1024,
             grid_loss=False,
+            augment=False,
         ),
         optim=OptimConfig(
             name="muon",

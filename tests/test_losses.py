@@ -48,7 +48,7 @@ def test_pieces_change_no_gradient(monkeypatch):
     normals = rng.normal(size=(2, 16, 16, 3))
     normals = jnp.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
-    def loss(params, remat):
+    def loss(params, remat, squared=True):
         return losses.training_loss(
             params,
             images,
@@ -57,6 +57,7 @@ def test_pieces_change_no_gradient(monkeypatch):
             jax.random.split(jax.random.key(1), 2),
             config=dataclasses.replace(ONE_STAGE, remat=remat),
             num_pixels=50,
+            squared=squared,
         )
 
     def gradient(remat):
@@ -71,3 +72,20 @@ def test_pieces_change_no_gradient(monkeypatch):
     scale = max(float(jnp.max(jnp.abs(g))) for g in jax.tree.leaves(whole[1]))
     for a, b in zip(jax.tree.leaves(pieces), jax.tree.leaves(whole), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5 * scale)
+
+    # Of each of the two samplings: d^2 / 2 <= d as d <= 2, and Jensen's inequality.
+    squares = whole[0][0]
+    plain = jax.jit(functools.partial(loss, remat=False, squared=False))
+    assert squares / 2 < plain(lively_weights(ONE_STAGE))[0] < (2 * squares) ** 0.5
+
+
+def test_plain_distance_is_the_distance():
+    a, b = np.eye(3)[:2], np.array([[0.6, 0.8, 0.0], [0.0, -1.0, 0.0]])
+    plain = losses.plain_distance(losses.squared_distance(a, b))
+    np.testing.assert_allclose(plain, np.linalg.norm(a - b, axis=-1), rtol=0.04)
+
+    def at(x):
+        return losses.plain_distance(losses.squared_distance(x, jnp.ones(3)))
+
+    assert float(at(jnp.ones(3))) == pytest.approx(0, abs=1e-7)
+    np.testing.assert_array_equal(jax.grad(at)(jnp.ones(3)), 0)

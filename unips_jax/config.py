@@ -157,7 +157,9 @@ class DataConfig:
             the cost of large sets; 0: no bound.
         grid_loss: also decode every pixel of the contexts' grid, the first of the
             paper's two samplings.
-        augment: the paper's four augmentations.
+        augment: the paper's four augmentations. They turn images on their side and
+            upside down, so that a network cannot learn that skies and lamps are above:
+            better without where scenes never run out.
         workers: processes that read folders; 0 reads in the training process.
     """
 
@@ -272,6 +274,8 @@ class TrainConfig:
     Attributes:
         steps: length of the run.
         seed: of parameters, data order, scenes and dropout.
+        squared_loss: of the distance between true and predicted normals (the paper's);
+            False takes the distance itself, which follows the mean angular error.
         log_every: steps between metric lines.
         checkpoint_every: steps between checkpoints.
         keep: how many checkpoints are kept.
@@ -282,6 +286,7 @@ class TrainConfig:
 
     steps: int = 67_327
     seed: int = 0
+    squared_loss: bool = True
     log_every: int = 20
     checkpoint_every: int = 500
     keep: int = 2

@@ -1,7 +1,8 @@
 """The training loss.
 
 Source: UniPS (Ikehata, CVPR 2022), Sec. 4.3 and supplement: squared distance between
-true and predicted unit normals, averaged over pixels, at two samplings, summed.
+true and predicted unit normals, averaged over pixels, at two samplings, summed. The
+distance itself may be taken instead, which follows the mean angular error.
 """
 
 import dataclasses
@@ -30,6 +31,11 @@ from unips_jax.models.unips import UniPS
 def squared_distance(predicted: Array, true: Array) -> Array:
     """Squared distance of unit normals: `[..., 3]` to `[...]`, in [0, 4]."""
     return jnp.sum(jnp.square(predicted - true), axis=-1)
+
+
+def plain_distance(squared: Array) -> Array:
+    """Distance of unit normals from its square, smooth at zero, in [0, 2]."""
+    return jnp.sqrt(squared + 1e-3) - 1e-3**0.5
 
 
 def mean_weights(mask: Array) -> Array:
@@ -119,6 +125,7 @@ def training_loss(
     config: ModelConfig,
     num_pixels: int,
     grid_loss: bool = True,
+    squared: bool = True,
     deterministic: bool = False,
 ) -> tuple[Array, dict[str, Array]]:
     """The mean loss of B objects, differentiable by the parameters.
@@ -134,6 +141,7 @@ def training_loss(
         config: the network's configuration.
         num_pixels: full-resolution pixels to draw.
         grid_loss: include the sampling at the contexts' grid.
+        squared: the distances of the normals are squared, as in the paper.
         deterministic: no dropout.
 
     Returns:
@@ -177,7 +185,8 @@ def training_loss(
             rngs={"dropout": jax.random.fold_in(decoder_key, index[0])},
         )
         distance = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
-        return jnp.sum(weights * distance), 1 - distance / 2
+        loss = distance if squared else plain_distance(distance)
+        return jnp.sum(weights * loss), 1 - distance / 2
 
     true, weights = (jnp.swapaxes(x, 0, 1) for x in (prepared.true, prepared.weights))
     loss, cosine = chunked_sum(

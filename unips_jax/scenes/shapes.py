@@ -38,7 +38,7 @@ _TRAITS = np.array(
         [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.2, 0.2, 0.25],
         [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3],
         [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3],
-        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.5, 0.1, 0.0],
+        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.7, 0.1, 0.0],
         [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3],
         [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.3, 0.0, 0.0],
         [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.4, 0.0, 0.0],
@@ -113,7 +113,10 @@ def _typed_primitives(draws: Draws, kind: Array, size: Array, blend: Array):
 
 
 def _attached_centers(draws: Draws, size: Array, used: Array) -> Array:
-    """Each slot sits near the surface of one before it, so that all are connected."""
+    """Each slot sits near the surface of one before it, so that all are connected.
+
+    Cuts sit further out, the more the larger they are: they hollow, but leave the rest.
+    """
     offset = draws.direction(NUM_SLOTS)
     parent = draws.unit(NUM_SLOTS)
     spread = draws.uniform(0.45, 0.95, NUM_SLOTS)
@@ -124,8 +127,10 @@ def _attached_centers(draws: Draws, size: Array, used: Array) -> Array:
         index = jnp.where(used[index], index, 0)
         one_hot = (jnp.arange(count) == index).astype(jnp.float32)
         origin = one_hot @ jnp.stack(centers[:count])
-        reach = one_hot @ size[:count]
-        centers.append(origin + offset[slot] * reach * spread[slot])
+        reach = spread[slot] * (one_hot @ size[:count])
+        if slot >= NUM_UNIONS:
+            reach = reach + 0.5 * size[slot]
+        centers.append(origin + offset[slot] * reach)
     return jnp.stack(centers)
 
 
@@ -135,13 +140,14 @@ def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
     size = size.at[0].set(jnp.maximum(size[0], 0.5 * (traits[0] + traits[1])))
     blend = draws.log_uniform(traits[3], traits[4]) * draws.uniform(0.6, 1.4, NUM_SLOTS)
     is_cut = jnp.arange(NUM_SLOTS) >= NUM_UNIONS
-    size = size * jnp.where(is_cut, 0.7, 1.0)
+    size = size * jnp.where(is_cut, draws.log_uniform(0.4, 1.5, NUM_SLOTS), 1.0)
     used = draws.chance(jnp.where(is_cut, traits[6], traits[5]), NUM_SLOTS)
     used = used.at[:2].set(True)
     primitives, reach = _typed_primitives(draws, kind, size, blend)
     centers = _attached_centers(draws, size, used)
 
-    # Turned objects stack their slots along the axis; the last cut opens the top.
+    # Turned objects stack their slots along the axis; the first cut makes a waist, the
+    # last opens the top.
     axis = jnp.stack(
         [
             draws.uniform(0.0, 0.3, NUM_SLOTS),
@@ -151,7 +157,8 @@ def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
         -1,
     )
     top = jnp.stack([0.0, jnp.max(axis[:NUM_UNIONS, 1]) + 0.3 * size[0], 0.0])
-    axis = axis.at[-1].set(top)
+    waist = draws.uniform(0.2, 0.5) + 0.7 * size[NUM_UNIONS]
+    axis = axis.at[NUM_UNIONS, 0].set(waist).at[-1].set(top)
     centers = jnp.where(kind == LATHE, axis, centers)
 
     # Reliefs and plates: slot 0 is the plate, the others sit on its face.
@@ -202,7 +209,7 @@ def _bounding_sphere(
 
 def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
     frequency = draws.log_uniform(2.0, 14.0)
-    slope = draws.log_uniform(0.04, 0.4)
+    slope = draws.log_uniform(0.04, 0.5)
     pattern = draws.choice([0.45, 0.12, 0.12, 0.12, 0.12])
     wavy = draws.chance(0.6)
     flat = draws.chance(jnp.where(is_flat(kind), 0.1, 0.3))
