@@ -28,7 +28,7 @@ import numpy as np
 
 import unips_jax
 from unips_jax.command import InputError, command, keep_compiled
-from unips_jax.compilation import compile_together
+from unips_jax.compilation import compile_together, return_freed_memory
 from unips_jax.config import Config, DataConfig, ModelConfig
 from unips_jax.estimation import estimate_normals
 from unips_jax.train import load_config
@@ -141,7 +141,9 @@ def estimation_benchmark(
     config: ModelConfig, images: int, size: int, repeats: int
 ) -> dict:
     """Encoder alone, end to end, and what the first call adds to compile or to load."""
-    params = random_weights(config)
+    params = jax.block_until_ready(random_weights(config))
+    return_freed_memory()  # who estimates loads weights: drawing them does not count
+    forget_peak_memory()
     stack, mask = map(jnp.asarray, disc(images, size))
     decoder = decoder_operations(config) * images * int(mask.sum())
     encoder = encoder_operations(config) * images

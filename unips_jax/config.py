@@ -158,8 +158,8 @@ class DataConfig:
         grid_loss: also decode every pixel of the contexts' grid, the first of the
             paper's two samplings.
         augment: the paper's four augmentations. They turn images on their side and
-            upside down, so that a network cannot learn that skies and lamps are above:
-            better without where scenes never run out.
+            upside down, so that a network cannot learn that skies and lamps are above;
+            configurations that train on endless scenes do without.
         workers: processes that read folders; 0 reads in the training process.
     """
 

@@ -1,7 +1,7 @@
 """Scenes: a geometry shaded under drawn materials and lights, and recorded."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -137,41 +137,14 @@ def render_scene(
 
 
 @functools.partial(jax.jit, static_argnames=("size", "num_images", "config"))
-def render_batch(
-    keys: Array,
-    *,
-    size: int,
-    num_images: int,
-    config: SceneConfig | None = None,
-    light_kind: Array | int | None = None,
-    material: Array | int | None = None,
-    shape: Array | int | None = None,
-    camera: Array | int | None = None,
-) -> Scene:
-    """Scenes of a batch of keys, compiled; arguments as in `render_scene`.
+def render_batch(keys: Array, **options: Any) -> Scene:
+    """Scenes of a batch of keys, compiled.
 
     Args:
         keys: `[B]` random keys.
-        size: side of the images in pixels.
-        num_images: N.
-        config: the distribution of scenes.
-        light_kind: the same for all.
-        material: the same for all.
-        shape: the same for all.
-        camera: the same for all.
+        **options: as in `render_scene`, the same for all.
 
     Returns:
         A `Scene` whose arrays have a leading axis B.
     """
-    return jax.vmap(
-        lambda key: render_scene(
-            key,
-            size=size,
-            num_images=num_images,
-            config=config,
-            light_kind=light_kind,
-            material=material,
-            shape=shape,
-            camera=camera,
-        )
-    )(keys)
+    return jax.vmap(lambda key: render_scene(key, **options))(keys)
