@@ -48,7 +48,7 @@ def test_pieces_change_no_gradient(monkeypatch):
     normals = rng.normal(size=(2, 16, 16, 3))
     normals = jnp.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
-    def loss(params, remat, squared=True):
+    def loss(params, remat, squared_loss=True):
         return losses.training_loss(
             params,
             images,
@@ -57,7 +57,7 @@ def test_pieces_change_no_gradient(monkeypatch):
             jax.random.split(jax.random.key(1), 2),
             config=dataclasses.replace(ONE_STAGE, remat=remat),
             num_pixels=50,
-            squared=squared,
+            squared_loss=squared_loss,
         )
 
     def gradient(remat):
@@ -75,7 +75,7 @@ def test_pieces_change_no_gradient(monkeypatch):
 
     # Of each of the two samplings: d^2 / 2 <= d as d <= 2, and Jensen's inequality.
     squares = whole[0][0]
-    plain = jax.jit(functools.partial(loss, remat=False, squared=False))
+    plain = jax.jit(functools.partial(loss, remat=False, squared_loss=False))
     assert squares / 2 < plain(lively_weights(ONE_STAGE))[0] < (2 * squares) ** 0.5
 
 

@@ -269,7 +269,7 @@ class MeshConfig:
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
-    """Length, seed and rhythm of a training run.
+    """Length, seed, loss and rhythm of a training run.
 
     Attributes:
         steps: length of the run.
@@ -317,7 +317,7 @@ class Config:
         scenes: the distribution of scenes.
         optim: the optimiser.
         mesh: the devices.
-        train: length and rhythm.
+        train: length, loss and rhythm.
     """
 
     model: ModelConfig = ModelConfig()

@@ -34,7 +34,7 @@ def squared_distance(predicted: Array, true: Array) -> Array:
 
 
 def plain_distance(squared: Array) -> Array:
-    """Distance of unit normals from its square, smooth at zero, in [0, 2]."""
+    """Distance of unit normals from its square, `[...]`, in [0, 2], smooth at zero."""
     return jnp.sqrt(squared + 1e-3) - 1e-3**0.5
 
 
@@ -125,7 +125,7 @@ def training_loss(
     config: ModelConfig,
     num_pixels: int,
     grid_loss: bool = True,
-    squared: bool = True,
+    squared_loss: bool = True,
     deterministic: bool = False,
 ) -> tuple[Array, dict[str, Array]]:
     """The mean loss of B objects, differentiable by the parameters.
@@ -141,7 +141,7 @@ def training_loss(
         config: the network's configuration.
         num_pixels: full-resolution pixels to draw.
         grid_loss: include the sampling at the contexts' grid.
-        squared: the distances of the normals are squared, as in the paper.
+        squared_loss: the distances of the normals are squared, as in the paper.
         deterministic: no dropout.
 
     Returns:
@@ -184,9 +184,9 @@ def training_loss(
             method=lambda network, *inputs: network.decoder(*inputs),
             rngs={"dropout": jax.random.fold_in(decoder_key, index[0])},
         )
-        distance = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
-        loss = distance if squared else plain_distance(distance)
-        return jnp.sum(weights * loss), 1 - distance / 2
+        squared = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
+        loss = squared if squared_loss else plain_distance(squared)
+        return jnp.sum(weights * loss), 1 - squared / 2
 
     true, weights = (jnp.swapaxes(x, 0, 1) for x in (prepared.true, prepared.weights))
     loss, cosine = chunked_sum(

@@ -97,7 +97,7 @@ def batch_loss(
         config=config.model,
         num_pixels=data.pixels_for(num_images),
         grid_loss=data.grid_loss,
-        squared=config.train.squared_loss,
+        squared_loss=config.train.squared_loss,
     )
 
 
