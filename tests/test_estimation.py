@@ -1,5 +1,7 @@
 """The pure function: chunks, shapes, transformations, gradients, bad arguments."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from small_networks import SMALL, lively_weights, with_dtype
 
 from unips_jax import estimate_normals, estimation
 from unips_jax.canonical import square_frame
+from unips_jax.models.unips import UniPS
 from unips_jax.streaming import estimate_photographs
 
 
@@ -55,6 +58,22 @@ def test_chunked_equals_whole(params, monkeypatch):
     chunked = estimate_normals(params, images, mask, config=SMALL)
     estimation._estimate_normals.clear_cache()
     np.testing.assert_allclose(chunked, whole, atol=1e-5)
+
+
+@pytest.mark.parametrize("communication", ["none", "during", "pre", "post"])
+def test_encoding_in_pieces_is_the_encoder(params, monkeypatch, communication):
+    config = dataclasses.replace(SMALL, communication=communication)
+    images = jax.random.uniform(jax.random.key(1), (5, 16, 16, 4))
+    valid = jnp.array([True, True, False, True, True])
+    monkeypatch.setattr(estimation, "CHUNK_TOKENS", 30)
+
+    @jax.jit
+    def both(params, images, valid):
+        encoder = UniPS(config).bind({"params": params}).encoder
+        pieces = estimation.encode(params, images, valid, config=config)
+        return pieces, encoder(images, valid)
+
+    np.testing.assert_allclose(*both(params, images, valid), rtol=1e-4, atol=1e-4)
 
 
 def test_place_in_the_image_does_not_matter(params):

@@ -57,14 +57,6 @@ def encode(
     """
     encoder = UniPS(config).bind({"params": params}).encoder
 
-    def extract(images: Array, valid: Array | None = None) -> list[Array]:
-        return encoder.extract(encoder.embed(images), valid)
-
-    if config.communication == "during":
-        maps = extract(images, valid)
-    else:
-        maps = map_chunks(extract, images, CHUNK_IMAGES)
-
     def communicate(level: Array, index: int) -> Array:
         n, h, w, c = level.shape
         sets = jnp.moveaxis(level.reshape(n, h * w, 1, c), 1, 0)  # [h * w, N, 1, c]
@@ -76,6 +68,16 @@ def encode(
         )
         return jnp.moveaxis(sets, 0, 1).reshape(n, h, w, c)
 
+    if config.communication == "during":
+        level, maps = map_chunks(encoder.embed, images, CHUNK_IMAGES), []
+        for i, norm in enumerate(encoder.norms):
+            stage = functools.partial(encoder.stage, index=i)
+            level = communicate(map_chunks(stage, level, CHUNK_IMAGES), i)
+            maps.append(norm(level))
+    else:
+        maps = map_chunks(
+            lambda part: encoder.extract(encoder.embed(part)), images, CHUNK_IMAGES
+        )
     if config.communication == "pre":
         maps = [communicate(level, i) for i, level in enumerate(maps)]
     contexts = map_chunks(encoder.fuse, maps, CHUNK_IMAGES)

@@ -25,8 +25,9 @@ _XYZ = 3
 class Encoder(nn.Module):
     """Global lighting contexts from images of canonical size.
 
-    `embed`, `extract` and `fuse` treat every image alone, `communicate` every pixel
-    alone, so a caller may run each in pieces.
+    `embed`, `stage` and `fuse` treat every image alone, and so does `extract` unless
+    images communicate during it; `communicate` treats every pixel alone. So a caller
+    may run each in pieces.
 
     Attributes:
         config: the network's configuration.
@@ -114,14 +115,18 @@ class Encoder(nn.Module):
         only.
         """
         x, maps = tokens, []
-        for i, stage in enumerate(self.stages):
-            x = stage(x, deterministic)
+        for i, norm in enumerate(self.norms):
+            x = self.stage(x, i, deterministic)
             if self.config.communication == "during":
                 x = self.communicate(x, i, valid, deterministic, num_images)
-            maps.append(self.norms[i](x))
-            if i < len(self.mergings):
-                x = self.mergings[i](x)
+            maps.append(norm(x))
         return maps
+
+    def stage(self, x: Array, index: int, deterministic: bool = True) -> Array:
+        """Runs one stage on the map of the one before, the first on tokens."""
+        if index:
+            x = self.mergings[index - 1](x)
+        return self.stages[index](x, deterministic)
 
     def communicate(
         self,
