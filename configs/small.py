@@ -19,6 +19,7 @@ def get_config() -> Config:
     return Config(
         model=ModelConfig(
             canonical_size=128,
+            antialias=True,
             patch_channels=(32, 96),
             embed_dim=96,
             depths=(2, 2, 6),
@@ -39,6 +40,7 @@ def get_config() -> Config:
         data=DataConfig(
             source="scenes",
             image_size=128,
+            frame="mask",
             batch_size=32,
             num_images=(2, 4, 8),
             num_pixels=1024,

@@ -9,7 +9,7 @@ import pytest
 from small_networks import SMALL, lively_weights, with_dtype
 
 from unips_jax import estimate_normals, estimation
-from unips_jax.canonical import square_frame
+from unips_jax.canonical import canonical_images, square_frame
 from unips_jax.models.unips import UniPS
 from unips_jax.streaming import estimate_photographs
 
@@ -95,6 +95,24 @@ def test_frame_keeps_the_aspect():
     assert [int(v) for v in square_frame(np.zeros((20, 30)))] == [-5, 0, 30]
 
 
+@pytest.mark.parametrize("antialias", [False, True])
+def test_canonical_images_are_resized_ones(antialias):
+    """Of a whole image those of a library; of a flat object flat up to its rim."""
+    images = np.random.default_rng(2).random((2, 39, 39, 3)).astype(np.float32)
+    frame, full = square_frame(np.ones((39, 39))), jnp.ones((39, 39), bool)
+    actual = canonical_images(images, full, frame, 16, antialias)
+    expected = jax.image.resize(images, (2, 16, 16, 3), "linear", antialias=antialias)
+    np.testing.assert_allclose(actual[..., :3], expected, atol=1e-6)
+
+    if antialias:
+        _, mask = photographs()
+        flat = mask[None, ..., None] * jnp.full(3, 0.7)
+        frame = square_frame(mask)
+        small = canonical_images(flat, jnp.asarray(mask), frame, 16, antialias)
+        expected = 0.7 * jnp.repeat(small[..., 3:], 3, axis=-1)
+        np.testing.assert_allclose(small[..., :3], expected, atol=1e-6)
+
+
 def test_no_mask_is_the_whole_image(params):
     images, _ = photographs()
     normals = estimate_normals(params, images, config=SMALL)
@@ -175,10 +193,15 @@ def test_compiles_once_per_shape(params):
 
 
 @pytest.mark.parametrize(
-    ("dtype", "transfer"),
-    [("float32", "linear"), ("uint16", "linear"), ("uint8", "srgb")],
+    ("dtype", "transfer", "antialias"),
+    [
+        ("float32", "linear", False),
+        ("uint16", "linear", True),
+        ("uint8", "srgb", False),
+    ],
 )
-def test_streaming_gives_the_same(params, dtype, transfer):
+def test_streaming_gives_the_same(params, dtype, transfer, antialias):
+    config = dataclasses.replace(SMALL, antialias=antialias)
     images, mask = photographs(n=5)
     stored, linear = images, images
     if dtype != "float32":
@@ -188,13 +211,13 @@ def test_streaming_gives_the_same(params, dtype, transfer):
     if transfer == "srgb":
         high = ((linear + 0.055) / 1.055) ** 2.4
         linear = np.where(linear <= 0.04045, linear / 12.92, high)
-    expected = estimate_normals(params, linear, mask, config=SMALL)
+    expected = estimate_normals(params, linear, mask, config=config)
     seen = []
     actual = estimate_photographs(
         params,
         stored,
         mask,
-        config=SMALL,
+        config=config,
         transfer=transfer,
         progress=lambda done, total: seen.append((done, total)),
     )

@@ -89,3 +89,38 @@ def test_plain_distance_is_the_distance():
 
     assert float(at(jnp.ones(3))) == pytest.approx(0, abs=1e-7)
     np.testing.assert_array_equal(jax.grad(at)(jnp.ones(3)), 0)
+
+
+@pytest.mark.parametrize("grid_loss", [False, True])
+def test_the_frame_is_cropped_from_the_image(grid_loss):
+    """Around the mask: the loss of a wide image is that of its square part."""
+    rng = np.random.default_rng(0)
+    images = rng.random((1, 3, 12, 12, 3)).astype(np.float32)
+    mask = rng.random((1, 12, 12)) > 0.2
+    mask[:, :, 0] = mask[:, :, -1] = mask[:, 0] = mask[:, -1] = True
+    normals = rng.normal(size=(1, 12, 12, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals *= mask[..., None]
+
+    @functools.partial(jax.jit, static_argnames="frame")
+    def loss(images, mask, normals, frame):
+        return losses.training_loss(
+            lively_weights(ONE_STAGE),
+            images,
+            mask,
+            normals,
+            jax.random.split(jax.random.key(1), 1),
+            config=ONE_STAGE,
+            num_pixels=1000,
+            frame=frame,
+            grid_loss=grid_loss,
+        )[0]
+
+    square = images, mask, normals
+    wide = [
+        np.pad(x, [(0, 0)] * axis + [(3, 1), (5, 9)] + [(0, 0)] * (x.ndim - axis - 2))
+        for x, axis in zip(square, (2, 1, 1), strict=True)
+    ]
+    expected = loss(*square, frame="image")
+    np.testing.assert_allclose(loss(*wide, frame="mask"), expected, rtol=1e-5)
+    assert abs(loss(*wide, frame="image") - expected) > 1e-3

@@ -4,7 +4,7 @@ Source: UniPS (Ikehata, CVPR 2022), Sec. 4; the frame is ours, so that photograp
 not be square.
 """
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -70,24 +70,27 @@ def normalize_images(images: Array, mask: Array) -> Array:
     return images / jnp.where(mean > 0, mean, 1)
 
 
-def canonical_images(images: Array, mask: Array, frame: Frame, size: int) -> Array:
+def canonical_images(
+    images: Array, mask: Array, frame: Frame, size: int, antialias: bool = False
+) -> Array:
     """The frame's part of the images, resized for the encoder.
 
-    Bilinear, half-pixel centres, no antialiasing; as a product with the separable
-    weights, which moves with the frame and has cheap gradients.
+    Bilinear with half-pixel centres; as a product with the separable weights, which
+    moves with the frame and has cheap gradients.
 
     Args:
         images: `[N, H, W, 3]`, normalised, zero outside the mask.
         mask: `[H, W]`.
         frame: which square.
         size: the canonical size s.
+        antialias: average what falls between the cells, over the mask only.
 
     Returns:
         `[N, s, s, 4]`: images times mask, and the mask.
     """
     dtype, (height, width) = images.dtype, mask.shape
-    rows = _resize_weights(frame.top, frame.side, size, height, dtype)
-    columns = _resize_weights(frame.left, frame.side, size, width, dtype)
+    rows = resize_weights(frame.top, frame.side, size, height, antialias, dtype)
+    columns = resize_weights(frame.left, frame.side, size, width, antialias, dtype)
     resized = jnp.einsum("ih,nhwc,jw->nijc", rows, images, columns, optimize=True)
     steps = jnp.arange(size) * frame.side // size
     inside = (
@@ -99,16 +102,38 @@ def canonical_images(images: Array, mask: Array, frame: Frame, size: int) -> Arr
         mode="fill", fill_value=0, wrap_negative_indices=False
     )
     inside = (inside > 0).astype(dtype)[None, :, :, None]
+    if antialias:
+        covered = jnp.einsum("ih,hw,jw->ij", rows, mask.astype(dtype), columns)
+        resized /= jnp.where(covered > 0, covered, 1)[..., None]
     return jnp.concatenate(
         [resized * inside, jnp.broadcast_to(inside, (*resized.shape[:-1], 1))], axis=-1
     )
 
 
-def _resize_weights(
-    start: Array, side: Array, size: int, length: int, dtype: jnp.dtype
+def resize_weights(
+    start: Array,
+    side: Array,
+    size: int,
+    length: int,
+    antialias: bool,
+    dtype: Any = jnp.float32,
 ) -> Array:
-    """Bilinear weights `[size, length]` of an axis' cells for a stretch of it."""
-    places = (jnp.arange(size, dtype=dtype) + 0.5) * side.astype(dtype) / size - 0.5
+    """Bilinear weights of an axis' pixels for the cells that a stretch becomes.
+
+    Args:
+        start: the stretch's first pixel.
+        side: its length in pixels.
+        size: how many cells it becomes.
+        length: pixels of the axis.
+        antialias: widen the weights to the cells where these are larger than pixels.
+        dtype: of the weights.
+
+    Returns:
+        `[size, length]`; rows sum to 1 where nothing of their reach is cut off.
+    """
+    scale = side.astype(dtype) / size
+    places = (jnp.arange(size, dtype=dtype) + 0.5) * scale - 0.5
     places = start + jnp.clip(places, 0, side - 1)
     distance = jnp.abs(places[:, None] - jnp.arange(length, dtype=dtype))
-    return jnp.maximum(1 - distance, 0)
+    reach = jnp.maximum(scale, 1) if antialias else 1
+    return jnp.maximum(1 - distance / reach, 0) / reach

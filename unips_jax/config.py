@@ -22,6 +22,8 @@ class ModelConfig:
 
     Attributes:
         canonical_size: side in pixels of the images the encoder sees; a multiple of 4.
+        antialias: resize them with antialiasing, so that contexts depend little on the
+            photographs' resolution (the paper does not).
         patch_channels: widths of the patch embedding's first two pairs of
             convolutions (the last width is `embed_dim`).
         embed_dim: channels of Swin's first stage; doubles at every stage.
@@ -57,6 +59,7 @@ class ModelConfig:
     """
 
     canonical_size: int = 256
+    antialias: bool = False
     patch_channels: tuple[int, int] = (48, 96)
     embed_dim: int = 96
     depths: tuple[int, ...] = (2, 2, 18, 2)
@@ -148,6 +151,8 @@ class DataConfig:
         root: the folder that holds the `X.data` folders.
         scene_share: share of steps on scenes in a mixture.
         image_size: side of the training images, in pixels.
+        frame: what the encoder's square surrounds: the whole "image", as in the paper,
+            or the "mask", as `estimate_normals` does unless told.
         batch_size: objects per step, over all devices.
         num_images: sizes of the sets; every step draws one of them for all its
             objects. The paper draws from 2..10.
@@ -167,6 +172,7 @@ class DataConfig:
     root: str = ""
     scene_share: float = 0.5
     image_size: int = 512
+    frame: Literal["image", "mask"] = "image"
     batch_size: int = 3
     num_images: tuple[int, ...] = tuple(range(2, 11))
     num_pixels: int = 2500
@@ -182,6 +188,7 @@ class DataConfig:
             ValueError: naming the field, what was expected and what came.
         """
         require_choice("source", self.source, ("scenes", "folders", "mixture"))
+        require_choice("frame", self.frame, ("image", "mask"))
         require_positive(self, "image_size", "batch_size", "num_pixels")
         require(
             len(self.num_images) > 0 and min(self.num_images) >= 1,

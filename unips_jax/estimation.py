@@ -207,7 +207,9 @@ def _estimate_normals(
     n, height, width, _ = images.shape
     images = normalize_images(images, mask)
     frame = square_frame(mask, frame_kind)
-    inputs = canonical_images(images, mask, frame, config.canonical_size)
+    inputs = canonical_images(
+        images, mask, frame, config.canonical_size, config.antialias
+    )
     contexts = encode(
         params, inputs, valid, config=config, uniform_contexts=uniform_contexts
     )

@@ -16,7 +16,12 @@ import optax
 from jax import Array
 
 from unips_jax import ops
-from unips_jax.canonical import canonical_images, normalize_images, square_frame
+from unips_jax.canonical import (
+    FrameKind,
+    canonical_images,
+    normalize_images,
+    square_frame,
+)
 from unips_jax.config import ModelConfig
 from unips_jax.estimation import (
     CHUNK_IMAGES,
@@ -124,6 +129,7 @@ def training_loss(
     *,
     config: ModelConfig,
     num_pixels: int,
+    frame: FrameKind = "image",
     grid_loss: bool = True,
     squared_loss: bool = True,
     deterministic: bool = False,
@@ -140,6 +146,7 @@ def training_loss(
         keys: `[B]`, for pixels and dropout.
         config: the network's configuration.
         num_pixels: full-resolution pixels to draw.
+        frame: what the encoder's square surrounds, the "mask" or the whole "image".
         grid_loss: include the sampling at the contexts' grid.
         squared_loss: the distances of the normals are squared, as in the paper.
         deterministic: no dropout.
@@ -153,7 +160,11 @@ def training_loss(
     batch, num_images = images.shape[:2]
     draws = jax.vmap(jax.random.split)(keys)  # [B, 2]
     prepare = functools.partial(
-        _prepare, config=config, num_pixels=num_pixels, grid_loss=grid_loss
+        _prepare,
+        config=config,
+        num_pixels=num_pixels,
+        frame_kind=frame,
+        grid_loss=grid_loss,
     )
     prepared = jax.vmap(prepare)(images, mask, normals, draws[:, 0])
     encoder_key, decoder_key = jax.random.split(draws[0, 1])
@@ -254,11 +265,14 @@ def _prepare(
     *,
     config: ModelConfig,
     num_pixels: int,
+    frame_kind: FrameKind,
     grid_loss: bool,
 ) -> _Prepared:
     images = normalize_images(images, mask)
-    frame = square_frame(mask, "image")
-    inputs = canonical_images(images, mask, frame, config.canonical_size)
+    frame = square_frame(mask, frame_kind)
+    inputs = canonical_images(
+        images, mask, frame, config.canonical_size, config.antialias
+    )
     index, drawn = draw_pixels(mask, num_pixels, key)
     n, _, width, _ = images.shape
     grid = config.canonical_size // 4
@@ -266,12 +280,11 @@ def _prepare(
     true = jnp.take(normals.reshape(-1, 3), index, axis=0)
     weights = mean_weights(drawn)
     if grid_loss:
-        small = ops.resize_bilinear(images, (grid, grid)).reshape(n, -1, 3)
-        observed = jnp.concatenate([small, observed], axis=1)
-        small_true = ops.normalize(ops.resize_bilinear(normals, (grid, grid)))
-        true = jnp.concatenate([small_true.reshape(-1, 3), true])
-        small_mask = ops.resize_mask_nearest(mask, (grid, grid)).reshape(-1)
-        weights = jnp.concatenate([mean_weights(small_mask), weights])
+        small = canonical_images(images, mask, frame, grid)
+        observed = jnp.concatenate([small[..., :3].reshape(n, -1, 3), observed], axis=1)
+        small_true = canonical_images(normals[None], mask, frame, grid)[0, ..., :3]
+        true = jnp.concatenate([ops.normalize(small_true).reshape(-1, 3), true])
+        weights = jnp.concatenate([mean_weights(small[0, ..., 3].reshape(-1)), weights])
     offset = 0.5 if config.context_sampling == "center" else 0.0
     return _Prepared(
         inputs,

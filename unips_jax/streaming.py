@@ -6,7 +6,7 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
-from unips_jax.canonical import Frame, FrameKind, square_frame
+from unips_jax.canonical import Frame, FrameKind, resize_weights, square_frame
 from unips_jax.config import ModelConfig
 from unips_jax.estimation import CHUNK_TOKENS, decode, encode
 
@@ -52,11 +52,9 @@ def estimate_photographs(
     inputs = np.zeros((bucket, *[config.canonical_size] * 2, 4), np.float32)
     gains = np.zeros(n, np.float32)
     for i in range(n):
-        gains[i] = _gain(images[i], mask, transfer)
-        canonical = _canonical_photograph(
-            images[i], mask, square, config.canonical_size, transfer
+        inputs[i], gains[i] = _canonical_photograph(
+            images[i], mask, square, transfer, config
         )
-        inputs[i] = canonical * np.array([gains[i]] * 3 + [1], np.float32)
     contexts = _encode_jit(
         params, inputs, valid, config=config, uniform_contexts=uniform_contexts
     )
@@ -113,45 +111,46 @@ def _linear(values: np.ndarray, transfer: str) -> np.ndarray:
     return values
 
 
-def _gain(image: np.ndarray, mask: np.ndarray, transfer: str) -> float:
-    """One over the mean of the masked pixels, found a few rows at a time."""
-    total, count, step = 0.0, 0, max(1, 2**18 // image.shape[1])
-    for start in range(0, image.shape[0], step):
-        values = image[start : start + step][mask[start : start + step]]
-        total += float(np.sum(_linear(values, transfer), dtype=np.float64))
-        count += values.size
-    return count / total if total > 0 else 1.0
-
-
 def _canonical_photograph(
-    image: np.ndarray, mask: np.ndarray, frame: Frame, size: int, transfer: str
-) -> np.ndarray:
-    """`canonical_images` of one photograph, touching only the pixels it needs."""
+    image: np.ndarray,
+    mask: np.ndarray,
+    frame: Frame,
+    transfer: str,
+    config: ModelConfig,
+) -> tuple[np.ndarray, float]:
+    """`normalize_images` and `canonical_images` of a photograph, a few rows at a time.
 
-    def axis(start: int, length: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        side = int(frame.side)
-        places = (np.arange(size, dtype=np.float32) + 0.5) * side / size - 0.5
-        places = start + np.clip(places, 0, side - 1)
-        first = np.floor(places).astype(int)
-        weights, cells = [], []
-        for cell in (first, first + 1):
-            inside = (cell >= 0) & (cell < length)
-            weights.append(np.where(inside, 1 - abs(places - cell), 0))
-            cells.append(np.clip(cell, 0, length - 1))
-        return weights, cells
+    Returns:
+        What the encoder sees, `[s, s, 4]`, and the photograph's gain: one over the mean
+        of its masked pixels.
+    """
+    size = config.canonical_size
+    rows, columns = (
+        np.asarray(resize_weights(start, frame.side, size, length, config.antialias))
+        for start, length in zip((frame.top, frame.left), mask.shape, strict=True)
+    )
+    resized, total = np.zeros((size, size, 4)), 0.0
+    inner = slice(max(0, int(frame.left)), int(frame.left) + int(frame.side))
+    step = max(1, 2**18 // mask.shape[1])
+    for start in range(0, len(mask), step):
+        part = slice(start, start + step)
+        inside = mask[part, inner, None]
+        if not inside.any():
+            continue
+        values = np.where(inside, _linear(image[part, inner], transfer), 0)
+        total += float(np.sum(values, dtype=np.float64))
+        values = np.concatenate([values, inside], axis=-1)
+        across = np.tensordot(columns[:, inner], values, (1, 1))  # [s, rows, 4]
+        resized += np.tensordot(rows[:, part], across, (1, 1))
+    out = resized.astype(np.float32)
+    if config.antialias:
+        out[..., :3] /= np.where(out[..., 3:] > 0, out[..., 3:], 1)
+    gain = 3 * np.count_nonzero(mask) / total if total > 0 else 1.0
 
-    row_weights, rows = axis(int(frame.top), image.shape[0])
-    column_weights, columns = axis(int(frame.left), image.shape[1])
-    out = np.zeros((size, size, 4), np.float32)
-    for wy, y in zip(row_weights, rows, strict=True):
-        for wx, x in zip(column_weights, columns, strict=True):
-            at = np.ix_(y, x)
-            values = _linear(image[at], transfer) * mask[at][..., None]
-            out[..., :3] += values * (wy[:, None] * wx)[..., None].astype(np.float32)
     steps = np.arange(size) * int(frame.side) // size
     y, x = int(frame.top) + steps, int(frame.left) + steps
     inside = ((y >= 0) & (y < mask.shape[0]))[:, None] & (x >= 0) & (x < mask.shape[1])
     inside &= mask.take(y, axis=0, mode="clip").take(x, axis=1, mode="clip")
-    out[..., :3] *= inside[..., None]
+    out[..., :3] *= inside[..., None] * np.float32(gain)
     out[..., 3] = inside
-    return out
+    return out, gain

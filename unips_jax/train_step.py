@@ -96,6 +96,7 @@ def batch_loss(
         keys[1],
         config=config.model,
         num_pixels=data.pixels_for(num_images),
+        frame=data.frame,
         grid_loss=data.grid_loss,
         squared_loss=config.train.squared_loss,
     )

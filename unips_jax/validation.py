@@ -64,9 +64,7 @@ def estimate_held_out(
         )
         yield (
             scene,
-            estimate_normals(
-                params, scene.images, scene.mask, config=model, frame="image"
-            ),
+            estimate_normals(params, scene.images, scene.mask, config=model),
         )
 
 
