@@ -129,8 +129,9 @@ def _canonical_photograph(
         np.asarray(resize_weights(start, frame.side, size, length, config.antialias))
         for start, length in zip((frame.top, frame.left), mask.shape, strict=True)
     )
-    resized, total = np.zeros((size, size, 4)), 0.0
     inner = slice(max(0, int(frame.left)), int(frame.left) + int(frame.side))
+    columns = columns[:, inner]
+    resized, total = np.zeros((size, columns.shape[1] * 4), np.float32), 0.0
     step = max(1, 2**18 // mask.shape[1])
     for start in range(0, len(mask), step):
         part = slice(start, start + step)
@@ -139,10 +140,10 @@ def _canonical_photograph(
             continue
         values = np.where(inside, _linear(image[part, inner], transfer), 0)
         total += float(np.sum(values, dtype=np.float64))
-        values = np.concatenate([values, inside], axis=-1)
-        across = np.tensordot(columns[:, inner], values, (1, 1))  # [s, rows, 4]
-        resized += np.tensordot(rows[:, part], across, (1, 1))
-    out = resized.astype(np.float32)
+        values = np.concatenate([values, inside], axis=-1).reshape(len(values), -1)
+        reached = np.any(rows[:, part], axis=1)
+        resized[reached] += rows[reached, part] @ values
+    out = columns @ resized.reshape(size, -1, 4)
     if config.antialias:
         out[..., :3] /= np.where(out[..., 3:] > 0, out[..., 3:], 1)
     gain = 3 * np.count_nonzero(mask) / total if total > 0 else 1.0
