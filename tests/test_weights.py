@@ -11,6 +11,7 @@ from unips_jax.weights import (
     from_official,
     load_weights,
     official_name,
+    params_hash,
     save_weights,
     weights_record,
 )
@@ -28,7 +29,7 @@ def test_round_trip(tmp_path):
         np.testing.assert_array_equal(actual[name], value)
     record = weights_record(path)
     assert record["score"] == 9.5
-    assert len(record["sha256"]) == 64
+    assert record["hash"] == params_hash(SMALL, params)
     assert [p.name for p in tmp_path.iterdir()] == ["small.safetensors"]
 
 

@@ -13,7 +13,6 @@ measurement, data sets and renderers write those so. `--transfer` overrules it.
 import argparse
 import dataclasses
 import functools
-import hashlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -181,24 +180,10 @@ def _load_network(arguments: argparse.Namespace) -> _Network:
         name = arguments.weights
     record = {
         "name": name,
-        "sha256": _fingerprint(params),
+        "hash": weights.params_hash(config, params),
         "trained": not arguments.random_weights,
     }
     return _Network(config, params, record)
-
-
-def _fingerprint(params: Any) -> str:
-    """SHA-256 of all parameters, whatever file they came from."""
-    import jax
-
-    digest = hashlib.sha256()
-    for path, leaf in jax.tree_util.tree_leaves_with_path(params):
-        array = np.ascontiguousarray(leaf)
-        digest.update(
-            f"{jax.tree_util.keystr(path)} {array.dtype} {array.shape}".encode()
-        )
-        digest.update(array.data)
-    return digest.hexdigest()
 
 
 def _estimate_folder(

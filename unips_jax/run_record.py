@@ -26,7 +26,7 @@ def make_record(
         selection: the photographs used and left out.
         images: `[N, H, W, 3]`, as the network is given them.
         mask: `[H, W]`, bool.
-        weights: name, sha256 and whether they were trained.
+        weights: name, hash and whether they were trained.
         options: what the user chose, or was chosen for them.
         warnings: about the capture.
     """
@@ -89,7 +89,7 @@ def print_record(record: dict[str, Any]) -> None:
             f"{options['transfer']} ({record['dtype']} pixels; "
             "--transfer linear or srgb overrules)",
         )
-    print_line("weights", f"{weights['name']} (sha256 {weights['sha256'][:12]})")
+    print_line("weights", f"{weights['name']} (hash {weights['hash'][:8]})")
     if not weights["trained"]:
         print_line("", _UNTRAINED)
     sys.stdout.flush()

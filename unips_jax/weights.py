@@ -173,11 +173,10 @@ def weights_path(source: str | os.PathLike[str]) -> Path:
 
 
 def weights_record(source: str | os.PathLike[str]) -> dict[str, Any]:
-    """How weights were made: training record and score, with the file's SHA-256."""
-    path = weights_path(source)
-    metadata, _ = _read(path)
+    """How weights were made: training record and score, with their `params_hash`."""
+    metadata, _ = _read(weights_path(source))
     record = json.loads(metadata.get("record", "{}"))
-    return {**record, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return {**record, "hash": params_hash(*load_weights(source))}
 
 
 def save_weights(
