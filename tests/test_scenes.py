@@ -66,6 +66,7 @@ def make_shape(
         waves=waves.at[0, 4].set(amplitude),
         step_scale=jnp.float32(1 if amplitude == 0 else 0.7),
         detail=relief,
+        neck=jnp.asarray([0.0, 0.0, 1.0]),
         center=jnp.zeros(3),
         radius=jnp.float32(1),
         kind=jnp.int32(0),
@@ -163,6 +164,24 @@ def test_normals_are_the_derivative_of_the_displaced_surface():
     facing = np.stack(slope, -1)[:, 2] > 0.1 * np.linalg.norm(slope, axis=0)
     assert np.mean(np.asarray(error)[facing]) < 0.15
     assert np.quantile(np.asarray(error)[facing], 0.99) < 1.0
+
+
+def test_a_neck_narrows_the_object_and_tilts_its_normals():
+    shape = make_shape(slabs=[((0, 0, 0), (0.5, 0.85, 0.5))])
+    shape = shape._replace(
+        neck=jnp.asarray([0.6, 0.1, 0.4]), step_scale=jnp.float32(0.6)
+    )
+    found = look(shape, size=64)
+    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
+    away = (v - 0.1) / 0.4
+    width = 0.5 * (1 - 0.6 / (1 + away**2))
+    inside = np.abs(v) < 0.8
+    assert np.all(found.mask[inside & (np.abs(u) < width - 0.03)])
+    assert not np.any(found.mask[inside & (np.abs(u) > width + 0.03)])
+    slope = 0.5 * 0.6 * 2 * away / 0.4 / (1 + away**2) ** 2  # of the face z = width(y)
+    true = np.stack([0 * v, -slope, np.ones_like(v)], -1)
+    face = inside & (np.abs(u) < width - 0.05)
+    assert np.max(np.asarray(angular_error_deg(found.normals, true))[face]) < 0.3
 
 
 def test_normals_face_the_viewer_and_are_unit(sphere):

@@ -89,6 +89,8 @@ class Shape(NamedTuple):
         lathe: 1 where the object is turned about y, else 0.
         mirror: 1 where it is symmetric in x, else 0.
         twist: radians per unit along y.
+        neck: `[3]`: the share of its width that the object loses at a height y, that
+            height, and the distance from it at which half of this is left.
         waves: `[W, 5]`: cycles per unit (3), phase in cycles, amplitude.
         wave_warp: cycles by which a unit of displacement shifts the next wave.
         wave_ridge: 0 for smooth waves, 1 for creases.
@@ -103,6 +105,7 @@ class Shape(NamedTuple):
     lathe: Array
     mirror: Array
     twist: Array
+    neck: Array
     waves: Array
     wave_warp: Array
     wave_ridge: Array
@@ -145,8 +148,16 @@ def _compose(d: Array, slot: Array, point: Point) -> Array:
     return sign * (_smaller(d, e) - h * h * (0.25 / blend))
 
 
-def _fold(shape: Shape, point: Point) -> Point:
+def _neck_width(shape: Shape, y: Array) -> Array:
+    """How much narrower the object is at heights y, in (0, 1]."""
+    depth, height, reach = shape.neck
+    away = (y - height) / reach
+    return 1 - depth / (1 + away * away)
+
+
+def _fold(shape: Shape, point: Point, width: Array) -> Point:
     x, y, z = point
+    x, z = x / width, z / width
     turn = shape.twist * y * 0.15915494
     sin, cos = sine(turn), sine(turn + 0.25)
     x, z = cos * x - sin * z, sin * x + cos * z
@@ -184,11 +195,12 @@ def distance(shape: Shape, point: Point) -> Array:
     Returns:
         A lower bound of the distance (approximately), scaled to be safe to march.
     """
-    folded = _fold(shape, point)
+    width = _neck_width(shape, point[1])
+    folded = _fold(shape, point, width)
 
     empty = jnp.full_like(point[0], 1e3)
     d, _ = lax.scan(lambda d, s: (_compose(d, s, folded), None), empty, shape.slots)
-    return _displace(shape, point, d) * shape.step_scale
+    return _displace(shape, point, d * width) * shape.step_scale
 
 
 def _cell(cycles: Array) -> Array:

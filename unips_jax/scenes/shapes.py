@@ -32,16 +32,16 @@ _TYPE_WEIGHTS = np.array(
     np.float32,
 )
 # Columns: least and greatest size, thickness factor, blend low and high, chance that
-# a slot is used, chance of a cut, of a twist, of a mirror.
+# a slot is used, chance of a cut, of a twist, of a mirror, of a neck.
 _TRAITS = np.array(
     [
-        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.2, 0.2, 0.25],
-        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3],
-        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3],
-        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.7, 0.1, 0.0],
-        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3],
-        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.3, 0.0, 0.0],
-        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.4, 0.0, 0.0],
+        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.2, 0.2, 0.25, 0.25],
+        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3, 0.25],
+        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3, 0.25],
+        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.7, 0.1, 0.0, 0.35],
+        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3, 0.25],
+        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.3, 0.0, 0.0, 0.0],
+        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.4, 0.0, 0.0, 0.0],
     ],
     np.float32,
 )
@@ -229,6 +229,12 @@ def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
     )
 
 
+def _neck(draws: Draws, rate: Array, middle: Array, radius: Array) -> Array:
+    depth = draws.uniform(0.3, 0.75) * draws.chance(rate)
+    height = middle + draws.uniform(-0.35, 0.35) * radius
+    return jnp.stack([depth, height, draws.uniform(0.3, 0.8) * radius])
+
+
 def draw_shape(key: Array, kind: Array) -> Shape:
     """Draws an object.
 
@@ -236,7 +242,7 @@ def draw_shape(key: Array, kind: Array) -> Shape:
         key: a random key.
         kind: index into `SHAPE_KINDS`, int32 scalar.
     """
-    key_slots, key_waves, key_detail, key_seed = jax.random.split(key, 4)
+    key_slots, key_waves, key_detail, key_seed, key_neck = jax.random.split(key, 5)
     draws = Draws(key_slots, 256)
     traits = jnp.asarray(_TRAITS)[kind]
     primitives, reach = _slots(draws, kind)
@@ -258,11 +264,14 @@ def draw_shape(key: Array, kind: Array) -> Shape:
         jnp.sum(amplitude * frequency) * 6.3 * (1 + 6.3 * warp * amplitude[0]) * 0.5
     )
     twisting = jnp.abs(twist) * radius * 0.7 * (1 - lathe)
+    neck = _neck(Draws(key_neck, 8), traits[9], center[1], radius)
+    tapering = neck[0] * radius / neck[2]
     return Shape(
         slots=pack(primitives),
         lathe=lathe,
         mirror=mirror * (1 - lathe),
         twist=twist * (1 - lathe),
+        neck=neck,
         waves=jnp.concatenate(
             [
                 draws.direction(NUM_WAVES) * frequency[:, None],
@@ -273,7 +282,12 @@ def draw_shape(key: Array, kind: Array) -> Shape:
         ),
         wave_warp=warp,
         wave_ridge=jnp.where(draws.chance(0.35), draws.uniform(0.3, 1.0), 0.0),
-        step_scale=1 / ((1 + 0.5 * gradient) * jnp.sqrt(1 + 0.5 * twisting**2)),
+        step_scale=1
+        / (
+            (1 + 0.5 * gradient)
+            * jnp.sqrt(1 + 0.5 * twisting**2)
+            * jnp.sqrt(1 + 0.25 * tapering**2)
+        ),
         detail=_detail(Draws(key_detail, 32), key_seed, kind),
         center=center,
         radius=radius + jnp.sum(amplitude),
