@@ -149,7 +149,7 @@ def _compose(d: Array, slot: Array, point: Point) -> Array:
 
 
 def _neck_width(shape: Shape, y: Array) -> Array:
-    """How much narrower the object is at heights y, in (0, 1]."""
+    """Share of its width that the object keeps at heights y, in (0, 1]."""
     depth, height, reach = shape.neck
     away = (y - height) / reach
     return 1 - depth / (1 + away * away)
