@@ -230,6 +230,7 @@ def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
 
 
 def _neck(draws: Draws, rate: Array, middle: Array, radius: Array) -> Array:
+    """Draws `Shape.neck`, `[3]`; its depth is 0 where there is none."""
     depth = draws.uniform(0.3, 0.75) * draws.chance(rate)
     height = middle + draws.uniform(-0.35, 0.35) * radius
     return jnp.stack([depth, height, draws.uniform(0.3, 0.8) * radius])
