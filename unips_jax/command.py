@@ -36,19 +36,25 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
 
     Returns:
         A function with the same argument, returning the exit status: 0, 2 after an
-        `InputError`, 130 after an interrupt. Other exceptions are bugs and pass.
+        `InputError`, 130 after an interrupt, 141 where nobody reads the output any
+        more (`unips ... | head`). Other exceptions are bugs and pass.
     """
 
     @functools.wraps(main)
     def run(argv: Sequence[str] | None = None) -> int:
         try:
             main(argv)
+            sys.stdout.flush()
         except InputError as error:
             print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return 130
+        except BrokenPipeError:
+            # What is still buffered would fail once more when the process ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 141
         return 0
 
     return run
