@@ -22,16 +22,19 @@ FLAT = {"twist": 0.0, "lathe": 0.0, "mirror": 0.0, "wave_warp": 0.0, "wave_ridge
 
 
 def make_shape(
-    balls=(), slabs=(), noise=0.0, frequency=1.0, amplitude=0.0
+    balls=(), slabs=(), hollows=(), noise=0.0, frequency=1.0, amplitude=0.0
 ) -> sdf.Shape:
-    """Balls (center, radius) and boxes (center, half extents) in a unit sphere."""
+    """Balls (center, radius) and boxes (center, half extents), less round hollows."""
     rows = []
     for center, radius in balls:
         rows.append((center, np.full(3, radius), np.ones(3), 1.0, 1.0))
     for center, half in slabs:
         rows.append((center, np.ones(3), np.asarray(half), 0.0, 0.0))
-    used = len(rows)
-    rows += [(np.zeros(3), np.ones(3), np.ones(3), 0.0, 0.0)] * (sdf.NUM_SLOTS - used)
+    used = np.arange(sdf.NUM_SLOTS) < len(rows)
+    rows += [(np.zeros(3), np.ones(3), np.ones(3), 0.0, 0.0)] * int(np.sum(~used))
+    for slot, (center, radius) in enumerate(hollows, sdf.NUM_UNIONS):
+        rows[slot] = (center, np.full(3, radius), np.ones(3), 1.0, 1.0)
+        used[slot] = True
     center, scale, extent, corner, edge = (
         jnp.asarray(np.stack([np.asarray(c, np.float32) for c in column]))
         for column in zip(*rows, strict=True)
@@ -46,7 +49,7 @@ def make_shape(
         hole=jnp.full(count, sdf.SOLID),
         edge=edge,
         blend=jnp.full(count, 1e-4),
-        absent=jnp.where(jnp.arange(count) < used, 0.0, 1e3),
+        absent=jnp.where(jnp.asarray(used), 0.0, 1e3),
     )
     zero = jnp.float32(0)
     relief = sdf.Detail(
@@ -67,6 +70,7 @@ def make_shape(
         step_scale=jnp.float32(1 if amplitude == 0 else 0.7),
         detail=relief,
         neck=jnp.asarray([0.0, 0.0, 1.0]),
+        slab=jnp.asarray([0.0, 1e3]),
         center=jnp.zeros(3),
         radius=jnp.float32(1),
         kind=jnp.int32(0),
@@ -236,8 +240,8 @@ def test_light_from_the_left_brightens_slopes_that_face_left(sphere):
 
 
 def test_lambertian_sphere_under_a_constant_environment(sphere):
-    image = shading.shade_environment(
-        sphere, matt(sphere), constant_environment(2.0), jnp.zeros((1, 3))
+    image, _ = shading.shade_environment(
+        sphere, matt(sphere), constant_environment(2.0)
     )
     inside = np.asarray(sphere.mask).reshape(-1)
     np.testing.assert_allclose(np.asarray(image)[0, :, inside], 1.2, rtol=0.03)
@@ -259,6 +263,44 @@ def test_cast_shadow_of_a_ball_over_a_plane():
     np.testing.assert_allclose(outside, lit, rtol=0.05)
 
 
+@pytest.fixture(scope="module")
+def bowl():
+    """A round hollow of radius 0.5, its center 0.1 above a plate's face at z = 0."""
+    shape = make_shape(
+        slabs=[((0, 0, -0.3), (0.7, 0.7, 0.3))], hollows=[((0, 0, 0.1), 0.5)]
+    )
+    # Marched as carefully as a wavy object.
+    return look(shape._replace(step_scale=jnp.float32(0.5)), size=64)
+
+
+def test_a_hollow_is_shadowed_by_its_rim(bowl):
+    light = np.asarray([np.sin(np.pi / 3), 0, np.cos(np.pi / 3)])
+    image = directional(bowl, matt(bowl), light)
+    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
+    inside = np.hypot(u, v) < 0.45
+    point = np.stack([u, v, 0.1 - np.sqrt(np.maximum(0.25 - u**2 - v**2, 0))], -1)
+    from_center = point - [0, 0, 0.1]
+    facing = -(from_center @ light)
+    leaves = point + 2 * facing[..., None] * light  # where the ray meets the sphere
+    shadow = inside & (facing > 0.02) & (leaves[..., 2] < 0)
+    lit = inside & (facing > 0.02) & (leaves[..., 2] > 0)
+    expected = 0.6 / np.pi * facing / 0.5
+    assert np.mean(image[shadow] > 0.5 * expected[shadow]) < 0.35
+    assert np.mean(image[lit] < 0.5 * expected[lit]) < 0.02
+
+
+def test_a_round_hollow_sees_its_share_of_the_sky_and_itself(bowl):
+    around, hidden = shading.shade_environment(
+        bowl, matt(bowl), constant_environment(1.0)
+    )
+    u, v = grids.pixel_grid(64)
+    inside = np.asarray(jnp.hypot(u, v) < 0.45).reshape(-1)
+    # The opening is 0.6 of the sphere, and every point sees it under that share.
+    sky, itself = np.asarray(around)[0, 0, inside], np.asarray(hidden)[0, inside]
+    np.testing.assert_allclose(np.mean(sky), 0.6 * 0.6, atol=0.04)
+    np.testing.assert_allclose(sky + itself, 0.6, atol=1e-4)
+
+
 def test_constant_environment_never_amplifies(sphere):
     count = sphere.mask.size
     for metallic in (0.0, 1.0):
@@ -268,11 +310,11 @@ def test_constant_environment_never_amplifies(sphere):
             jnp.full(count, metallic),
             jnp.float32(1),
         )
-        image = shading.shade_environment(
-            sphere, surface, constant_environment(1.0), jnp.ones((1, 3))
+        image, hidden = shading.shade_environment(
+            sphere, surface, constant_environment(1.0)
         )
         inside = np.asarray(sphere.mask).reshape(-1)
-        assert np.max(np.asarray(image)[0, :, inside]) < 1.02
+        assert np.max(np.asarray(image + hidden)[0, :, inside]) < 1.02
         assert np.min(np.asarray(image)[0, :, inside]) > 0.3
 
 

@@ -29,10 +29,11 @@ class SceneConfig:
             have an entropy above `min_entropy_bits` is taken.
         min_entropy_bits: see `geometry.normal_entropy_bits`.
         num_directions: directions in which visibility is tabulated for environments.
-        interreflection: one bounce from the object's own mean radiance where the
-            environment is hidden.
+        interreflection: whether the object's own light, its mean radiance, reaches it
+            from where it hides its surroundings.
         sensor: whether the camera adds noise, response, quantisation, blur and mask
             errors; without it images are linear radiances scaled by the exposure.
+        spare_rate: share of scenes whose highlights are hardly ever clipped.
         linear_rate: share of scenes whose response curve is linear.
         eight_bit_rate: share of linear scenes stored in 8 bits instead of 16 (of the
             others four fifths are).
@@ -54,6 +55,7 @@ class SceneConfig:
     num_directions: int = 24
     interreflection: bool = True
     sensor: bool = True
+    spare_rate: float = 0.5
     linear_rate: float = 0.6
     eight_bit_rate: float = 0.2
     noise_rate: float = 0.6
@@ -79,7 +81,7 @@ class SceneConfig:
             )
         for name in (
             *("perspective_rate", "linear_rate", "noise_rate", "blur_rate"),
-            *("mask_error_rate", "eight_bit_rate"),
+            *("mask_error_rate", "eight_bit_rate", "spare_rate"),
         ):
             rate = getattr(self, name)
             require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")

@@ -180,7 +180,8 @@ def _sky_visibility(
     clear = clearance(
         *(shape, to_object, tuple(origin), tuple(towards), 1e3),  # type: ignore[arg-type]
         steps=6,
-        first=0.05,
+        first=0.08,
+        growth=0.4,
     )
     cosine = jnp.einsum("chw,dc->dhw", normals, directions)
     return soft_visibility(clear.reshape(count, h, w), cosine, sharpness)

@@ -194,8 +194,10 @@ def draw_lights(
     distance = draws.uniform(1.3, 3.0) * draws.uniform(0.8, 1.25, num_images)
     near = (kind == _POINT) | (kind == _AREA)
     area = kind == _AREA
-    high = draws.direction(num_images)
-    high = high.at[:, 1].set(jnp.abs(high[:, 1]))
+    # The sun turns with its sky.
+    high = draws.direction()
+    high = high.at[1].set(jnp.abs(high[1]))
+    high = jnp.einsum("nji,j->ni", environment.rotation, high)
     from_sky = kind == _ENVIRONMENT
     sun = draws.chance(0.5)
     direction = jnp.where(from_sky, high, direction)

@@ -267,6 +267,10 @@ def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surfac
     color = color + chipped * (bare[:, None] - color)
     metallic = metallic + chipped * (1 - 2 * metallic)
     rough = rough + chipped * (draws.uniform(0.3, 0.9) - rough)
+    # Wear and polish: roughness that varies on its own, whatever the colour.
+    scale = draws.log_uniform(1.5, 9.0)
+    worn = gradient_noise(seed + 9, tuple(c * scale for c in point))  # type: ignore[arg-type]
+    rough = rough + draws.chance(0.65) * draws.uniform(0.0, 0.4) * worn
     matt = draws.chance(0.4) & (low > 0.35)
     specular = jnp.where(matt, 0.0, draws.uniform(0.3, 1.0))
     return Surface(color, jnp.clip(rough, 0.06, 1.0), metallic, specular)

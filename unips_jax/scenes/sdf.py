@@ -91,6 +91,8 @@ class Shape(NamedTuple):
         twist: radians per unit along y.
         neck: `[3]`: the share of its width that the object loses at a height y, that
             height, and the distance from it at which half of this is left.
+        slab: `[2]`: a height y and half a thickness; what is not between these two
+            planes is cut away.
         waves: `[W, 5]`: cycles per unit (3), phase in cycles, amplitude.
         wave_warp: cycles by which a unit of displacement shifts the next wave.
         wave_ridge: 0 for smooth waves, 1 for creases.
@@ -106,6 +108,7 @@ class Shape(NamedTuple):
     mirror: Array
     twist: Array
     neck: Array
+    slab: Array
     waves: Array
     wave_warp: Array
     wave_ridge: Array
@@ -200,7 +203,8 @@ def distance(shape: Shape, point: Point) -> Array:
 
     empty = jnp.full_like(point[0], 1e3)
     d, _ = lax.scan(lambda d, s: (_compose(d, s, folded), None), empty, shape.slots)
-    return _displace(shape, point, d * width) * shape.step_scale
+    d = _larger(d * width, jnp.abs(point[1] - shape.slab[0]) - shape.slab[1])
+    return _displace(shape, point, d) * shape.step_scale
 
 
 def _cell(cycles: Array) -> Array:

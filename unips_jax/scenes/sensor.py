@@ -9,17 +9,19 @@ from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.noise import pixel_noise
 
 
-def exposure(radiance: Array, mask: Array, target: Array) -> Array:
+def exposure(radiance: Array, mask: Array, target: Array, spare: Array | bool) -> Array:
     """The factor that brings each image to a target brightness, `[N]`.
 
     The measure lies between the bright end (mean plus two standard deviations) and
     the typical value (from the mean root), so that neither highlights nor shadows
-    alone decide. For a matt sphere it is about the brightest value.
+    alone decide. For a matt sphere it is about the brightest value. With `spare` it
+    is the mean plus six standard deviations, so that highlights are seldom clipped.
 
     Args:
         radiance: `[N, 3, H, W]`.
         mask: `[H, W]`.
         target: `[N]`, share of the sensor's range.
+        spare: whether highlights are spared.
     """
     weight = mask.astype(jnp.float32)
     total = 3 * jnp.maximum(jnp.sum(weight), 1.0)
@@ -29,8 +31,9 @@ def exposure(radiance: Array, mask: Array, target: Array) -> Array:
 
     middle, square = mean(radiance), mean(radiance * radiance)
     root = mean(jnp.sqrt(jnp.maximum(radiance, 0.0)))
-    bright = middle + 2 * jnp.sqrt(jnp.maximum(square - middle * middle, 0.0))
-    measure = jnp.sqrt(bright * 2.2 * root * root) + 1e-6
+    deviation = jnp.sqrt(jnp.maximum(square - middle * middle, 0.0))
+    usual = jnp.sqrt((middle + 2 * deviation) * 2.2 * root * root)
+    measure = jnp.where(spare, middle + 6 * deviation, usual) + 1e-6
     return target / measure[:, 0, 0, 0]
 
 
@@ -98,12 +101,13 @@ def record(
     draws = Draws(key_draws, 32 + radiance.shape[0])
     target = draws.log_uniform(0.3, 0.9, radiance.shape[0])
     if not config.sensor:
-        gain = exposure(radiance, mask, jnp.full_like(target, 0.8))[:, None]
+        gain = exposure(radiance, mask, jnp.full_like(target, 0.8), False)[:, None]
         gain = jnp.broadcast_to(gain, radiance.shape[:2])
         return radiance * gain[..., None, None] * mask, mask, gain
     balance = jnp.exp(draws.uniform(-0.2, 0.2, 3)).at[1].set(1.0)
     balanced = radiance * balance[:, None, None]
-    gain = exposure(balanced, mask, target)[:, None] * balance
+    spare = draws.chance(config.spare_rate)
+    gain = exposure(balanced, mask, target, spare)[:, None] * balance
     images = radiance * gain[..., None, None] * mask
     amount = jnp.where(draws.chance(config.blur_rate), draws.uniform(0.0, 0.35), 0.0)
     images = blur(images, mask, amount)

@@ -4,8 +4,8 @@ Every image is lit by one key light (directional, near or the sun), whose shadow
 are marched for each pixel, and by an environment, whose diffuse part is a matrix
 product of the tabulated visibility times cosine with the radiance in the table's
 directions; its glossy part is the radiance around the mirror direction, already
-blurred, times the visibility there. Where the environment is hidden, the object's
-own mean radiance takes its place: one bounce, roughly.
+blurred, times the visibility there. Where the object hides its surroundings, its own
+mean radiance takes their place: light that bounces about, roughly.
 """
 
 import math
@@ -44,7 +44,7 @@ def split(vectors: Array) -> Point:
 
 
 def key_clearance(
-    geometry: Geometry, vector: Array, near: Array, *, steps: int = 10
+    geometry: Geometry, vector: Array, near: Array, *, steps: int = 12
 ) -> Array:
     """Clearance of the rays to a key light, `[P]` for P = H W.
 
@@ -63,7 +63,8 @@ def key_clearance(
     clear = clearance(
         *(geometry.shape, geometry.to_object, origin, light, reach),  # type: ignore[arg-type]
         steps=steps,
-        first=0.02,
+        first=0.03,
+        growth=0.22,
     )
     clear = jnp.clip(clear, -0.5, 0.5).reshape(frame)
     return spread(clear, mask, KEY_STRIDE).reshape(-1)
@@ -102,19 +103,17 @@ def shade_environment(
     geometry: Geometry,
     surface: Surface,
     environment: Environment,
-    bounce: Array,
-) -> Array:
+) -> tuple[Array, Array]:
     """Radiance under the environment in all its rotations.
 
     Args:
         geometry: the object.
         surface: its reflectance.
         environment: N rotations of it.
-        bounce: `[N, 3]`, the object's mean radiance, seen where the environment is
-            hidden.
 
     Returns:
-        `[N, 3, P]` for P = H W.
+        The radiance, `[N, 3, P]` for P = H W, and what the surface reflects of the
+        object's own light where the object hides the environment, `[3, P]`.
     """
     normal, view = split(geometry.normals), split(geometry.view)
     n_v = jnp.maximum(dot(normal, view), 0.02)
@@ -139,7 +138,6 @@ def shade_environment(
     )  # [N, 3, D]
     open_share = jnp.sum(seen, 0)
     irradiance = jnp.einsum("dp,ncd->ncp", seen, table)
-    irradiance = irradiance + (1 - open_share) * bounce[..., None]
     # The glossy lobe: environment around the mirror direction, where it is seen.
     n_dot_v = dot(normal, view)
     mirror = tuple(2 * n_dot_v * n - v for n, v in zip(normal, view, strict=True))
@@ -147,15 +145,16 @@ def shade_environment(
     lobe = lobe * lobe
     lobe = lobe * lobe * lobe + 1e-4
     free = jnp.sum(lobe * visibility, 0) / jnp.sum(lobe, 0)
-    blur = 0.8 * surface.roughness**2
+    # Half of GGX's lobe lies within about this angle of the mirror direction.
+    blur = jnp.minimum(1.9 * surface.roughness**2, 1.0)
 
     def reflected(rotation: Array) -> Array:
         return jnp.stack(environment_radiance(environment, rotation, mirror, blur))  # type: ignore[arg-type]
 
     glossy = jax.lax.map(reflected, environment.rotation)
-    glossy = free * glossy + (1 - free) * bounce[..., None]
-    total = diffuse * irradiance + specular * glossy
-    return total * environment.scale[:, None, None]
+    total = diffuse * irradiance + specular * free * glossy
+    hidden = diffuse * (1 - open_share) + specular * (1 - free)
+    return total * environment.scale[:, None, None], hidden
 
 
 def radiance(
@@ -179,13 +178,8 @@ def radiance(
     albedo = jnp.sum(fresnel_f0(surface) * surface.metallic * mask, 1) / area
     plain = surface.base_color * (1 - surface.metallic) * mask
     albedo = albedo + jnp.sum(plain, 1) / area
-    table = jax.vmap(
-        lambda r: jnp.stack(
-            environment_radiance(
-                environment, r, split(geometry.directions), jnp.float32(0.25)
-            )
-        )
-    )(environment.rotation)
-    bounce = 0.7 * albedo * jnp.mean(table, -1) * config.interreflection
-    around = shade_environment(geometry, surface, environment, bounce)
-    return direct + around
+    around, hidden = shade_environment(geometry, surface, environment)
+    total = direct + around
+    # In a hollow, about half of what leaves the surface meets it again.
+    own = jnp.sum(total * mask, -1) / area / (1 - 0.5 * albedo)
+    return total + config.interreflection * hidden * own[..., None]

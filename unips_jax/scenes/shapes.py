@@ -32,16 +32,16 @@ _TYPE_WEIGHTS = np.array(
     np.float32,
 )
 # Columns: least and greatest size, thickness factor, blend low and high, chance that
-# a slot is used, chance of a cut, of a twist, of a mirror, of a neck.
+# a slot is used, chance of a cut, of a twist, of a mirror, of a neck, of flat ends.
 _TRAITS = np.array(
     [
-        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.2, 0.2, 0.25, 0.25],
-        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3, 0.25],
-        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3, 0.25],
-        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.7, 0.1, 0.0, 0.35],
-        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3, 0.25],
-        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.3, 0.0, 0.0, 0.0],
-        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.4, 0.0, 0.0, 0.0],
+        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.4, 0.2, 0.25, 0.25, 0.15],
+        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3, 0.25, 0.15],
+        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3, 0.25, 0.15],
+        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.7, 0.1, 0.0, 0.35, 0.5],
+        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3, 0.25, 0.1],
+        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.65, 0.0, 0.0, 0.0, 0.0],
+        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.65, 0.0, 0.0, 0.0, 0.0],
     ],
     np.float32,
 )
@@ -208,7 +208,7 @@ def _bounding_sphere(
 
 
 def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
-    frequency = draws.log_uniform(2.0, 14.0)
+    frequency = draws.log_uniform(4.0, 14.0)
     slope = draws.log_uniform(0.04, 0.5)
     pattern = draws.choice([0.45, 0.12, 0.12, 0.12, 0.12])
     wavy = draws.chance(0.6)
@@ -229,11 +229,16 @@ def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
     )
 
 
-def _neck(draws: Draws, rate: Array, middle: Array, radius: Array) -> Array:
-    """Draws `Shape.neck`, `[3]`; its depth is 0 where there is none."""
-    depth = draws.uniform(0.3, 0.75) * draws.chance(rate)
+def _neck(
+    draws: Draws, neck_rate: Array, slab_rate: Array, middle: Array, radius: Array
+) -> tuple[Array, Array]:
+    """Draws `Shape.neck`, its depth 0 where there is none, and `Shape.slab`."""
+    depth = draws.uniform(0.3, 0.75) * draws.chance(neck_rate)
     height = middle + draws.uniform(-0.35, 0.35) * radius
-    return jnp.stack([depth, height, draws.uniform(0.3, 0.8) * radius])
+    neck = jnp.stack([depth, height, draws.uniform(0.3, 0.8) * radius])
+    cut = draws.chance(slab_rate)
+    half = jnp.where(cut, draws.uniform(0.35, 0.75) * radius, 1e3)
+    return neck, jnp.stack([middle + draws.uniform(-0.25, 0.25) * radius, half])
 
 
 def draw_shape(key: Array, kind: Array) -> Shape:
@@ -265,7 +270,7 @@ def draw_shape(key: Array, kind: Array) -> Shape:
         jnp.sum(amplitude * frequency) * 6.3 * (1 + 6.3 * warp * amplitude[0]) * 0.5
     )
     twisting = jnp.abs(twist) * radius * 0.7 * (1 - lathe)
-    neck = _neck(Draws(key_neck, 8), traits[9], center[1], radius)
+    neck, slab = _neck(Draws(key_neck, 8), traits[9], traits[10], center[1], radius)
     tapering = neck[0] * radius / neck[2]
     return Shape(
         slots=pack(primitives),
@@ -273,6 +278,7 @@ def draw_shape(key: Array, kind: Array) -> Shape:
         mirror=mirror * (1 - lathe),
         twist=twist * (1 - lathe),
         neck=neck,
+        slab=slab,
         waves=jnp.concatenate(
             [
                 draws.direction(NUM_WAVES) * frequency[:, None],
