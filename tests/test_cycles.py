@@ -176,7 +176,8 @@ def test_other_settings_are_refused(stand_in, tmp_path, capsys):
     command = ["--engine", "cycles", "-o", str(tmp_path / "s"), "--objects", "1"]
     assert render.main([*command, "--size", "24", "--images", "1"]) == 0
     assert render.main([*command, "--size", "32", "--images", "1"]) == 2
-    assert "begun with other settings" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "begun with other settings" in said and "'size': (24, 32)" in said
 
 
 def test_without_blender_it_says_how_to_get_it(monkeypatch, tmp_path, capsys):
@@ -236,8 +237,9 @@ def test_manifests_name_objects_materials_and_lightings(tmp_path):
     for name in ("linen_basecolor.png", "linen_metal_roughness.png"):
         (maps / name).write_bytes(b"")
     found = assets.find_materials(tmp_path / "tex")
-    assert found["linen"]["category"] == "Fabric"
-    assert sorted(found["linen"]["maps"]) == ["baseColor", "roughness"]
+    linen = found["Fabric/linen"]
+    assert linen["category"] == "Fabric"
+    assert sorted(linen["maps"]) == ["baseColor", "roughness"]
     listed = tmp_path / "list.csv"
     listed.write_text(
         "id,object,material,category,lighting\n7,cow,linen,Fabric,near\n"
@@ -250,8 +252,19 @@ def test_manifests_name_objects_materials_and_lightings(tmp_path):
         "009-pig-gold",
     ]
     assert jobs[0].shape["file"].endswith("cow.obj") and jobs[0].lightings == ("near",)
-    assert jobs[0].material is found["linen"] and jobs[1].lightings is None
+    assert jobs[0].material is linen and jobs[1].lightings is None
     assert jobs[1].shape == jobs[2].shape and jobs[1].material != jobs[2].material
+
+
+def test_texture_sets_of_one_name_stay_apart(tmp_path):
+    root = tmp_path / "wood-and-metal"
+    for name in ("Wood/01/a_basecolor", "Metal/01/b_basecolor", "Wood/02/c_roughness"):
+        file = root / f"{name}.png"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(b"")
+    found = assets.find_materials(root)
+    categories = {name: entry["category"] for name, entry in found.items()}
+    assert categories == {"Metal/01": "Metal", "Wood/01": "Wood"}
 
 
 def test_the_papers_list_is_a_manifest():
@@ -284,6 +297,7 @@ def test_bad_manifests_are_named(tmp_path, text, message):
     "arguments, message",
     [
         (["--size", "0"], "--size: expected at least 1, got 0"),
+        (["--sheet", "a.gif"], "--sheet: expected a file ending in .png"),
         (["--perspective", "2"], "--perspective: expected 0 to 1"),
         (["--meshes", "."], "--meshes .: expected files .blend"),
         (["--materials", "."], "--materials .: expected files"),

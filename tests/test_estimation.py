@@ -93,6 +93,8 @@ def test_frame_keeps_the_aspect():
     assert [int(v) for v in square_frame(mask)] == [-3, 10, 18]
     assert [int(v) for v in square_frame(mask, "image")] == [-5, 0, 30]
     assert [int(v) for v in square_frame(np.zeros((20, 30)))] == [-5, 0, 30]
+    with pytest.raises(ValueError, match="frame: expected one of"):
+        square_frame(mask, "masks")
 
 
 @pytest.mark.parametrize("antialias", [False, True])

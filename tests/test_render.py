@@ -95,7 +95,7 @@ def test_bad_arguments_are_named(capsys, arguments, message):
 
 
 @pytest.mark.slow
-def test_trees_are_reproducible_and_kept(tmp_path):
+def test_trees_are_reproducible_and_kept(tmp_path, capsys):
     arguments = ["--objects", "2", "--images", "2", "--size", "32", "--seed", "4"]
     assert render.main(["-o", str(tmp_path / "a"), *arguments]) == 0
     assert render.main(["-o", str(tmp_path / "b"), *arguments]) == 0
@@ -112,3 +112,6 @@ def test_trees_are_reproducible_and_kept(tmp_path):
     stamp = first[0].stat().st_mtime_ns
     assert render.main(["-o", str(tmp_path / "a"), *arguments]) == 0
     assert first[0].stat().st_mtime_ns == stamp
+    assert render.main(["-o", str(tmp_path / "a"), *arguments[:-1], "5"]) == 2
+    said = capsys.readouterr().err
+    assert "expected a folder of {'seed': 5, 'size': 32, 'images': 2}" in said

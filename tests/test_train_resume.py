@@ -92,7 +92,8 @@ def test_starts_from_weights(uninterrupted, tmp_path):
     config, whole = uninterrupted
     rate, optim = 1e-3, dataclasses.replace(config.optim, learning_rate=1e-3)
     steps = dataclasses.replace(config.train, steps=1)
-    config = dataclasses.replace(config, optim=optim, train=steps)
+    model = dataclasses.replace(config.model, dropout_rate=0.1, remat=True)
+    config = dataclasses.replace(config, model=model, optim=optim, train=steps)
     train(config, tmp_path, init_weights=str(whole / "last.safetensors"))
     before, after = final_params(whole), final_params(tmp_path)
     for name, value in before.items():

@@ -4,11 +4,13 @@ Source: UniPS (Ikehata, CVPR 2022), Sec. 4; the frame is ours, so that photograp
 not be square.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
+
+from unips_jax.checks import require_choice
 
 FrameKind = Literal["mask", "image"]
 
@@ -36,7 +38,11 @@ def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:
 
     Returns:
         The frame, integers.
+
+    Raises:
+        ValueError: if `kind` is neither.
     """
+    require_choice("frame", kind, get_args(FrameKind))
     mask = jnp.asarray(mask) > 0
     inside = mask if kind == "mask" else jnp.ones_like(mask)
     inside = inside | ~jnp.any(inside)

@@ -1,4 +1,4 @@
-"""Training checkpoints; the only file that knows orbax.
+"""Training checkpoints, written with orbax.
 
 A checkpoint is written beside its place and moved there when complete, so that a kill
 at any moment leaves the earlier ones.
@@ -14,6 +14,38 @@ from orbax.checkpoint import v1 as ocp
 
 from unips_jax.command import InputError
 from unips_jax.config import Config, to_json
+
+# What may change between the runs of one training: where and how, not what.
+_FREE = {
+    "model": {"remat"},
+    "optim": set(),
+    "data": {"root", "workers"},
+    "scenes": set(),
+    "train": {
+        *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
+        *("validation_scenes", "validation_images"),
+    },
+}
+
+
+def changed_fields(saved: dict[str, Any], ours: dict[str, Any]) -> dict[str, Any]:
+    """What makes a run another one than that which was saved.
+
+    Fields that the saved one does not know came with a later version and have no say.
+
+    Args:
+        saved: a `Config` as read from JSON.
+        ours: the same of the present run.
+
+    Returns:
+        By field, what was saved and what is given.
+    """
+    return {
+        f"{part}.{name}": (value, ours[part].get(name))
+        for part, free in _FREE.items()
+        for name, value in saved[part].items()
+        if name not in free and ours[part].get(name) != value
+    }
 
 
 class Checkpoints:
@@ -85,23 +117,18 @@ class Checkpoints:
             The state and the record.
 
         Raises:
-            InputError: if it was written under another network or optimiser.
+            InputError: if it was written by a run that differs in more than its
+                length, rhythm, place of the data or memory.
         """
         step = self.latest_step()
         metadata = self._checkpointer.checkpointables_metadata(step).custom_metadata
         saved = json.loads(metadata["config"])
-        ours = json.loads(to_json(self._config))
-        for part in ("model", "optim", "data", "scenes"):
-            if saved[part] != ours[part]:
-                changed = {
-                    name: (saved[part].get(name), value)
-                    for name, value in ours[part].items()
-                    if saved[part].get(name) != value
-                }
-                raise InputError(
-                    f"{self._path}: checkpoint {step} was written with another "
-                    f"{part} configuration (field: saved, given): {changed}; continue "
-                    "with the saved one or choose another --workdir"
-                )
+        changed = changed_fields(saved, json.loads(to_json(self._config)))
+        if changed:
+            raise InputError(
+                f"{self._path}: checkpoint {step} was written with another "
+                f"configuration (field: saved, given): {changed}; continue with the "
+                "saved one, or choose another --workdir and --init-weights"
+            )
         state = self._checkpointer.load_checkpointables(step, {"state": abstract_state})
         return state["state"], json.loads(metadata["record"])

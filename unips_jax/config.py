@@ -195,6 +195,10 @@ class DataConfig:
             f"num_images: expected set sizes of at least 1, got {self.num_images}",
         )
         require(
+            self.source == "folders" or self.image_size % 4 == 0,
+            f"image_size: expected a multiple of 4 for scenes, got {self.image_size}",
+        )
+        require(
             0 <= self.scene_share <= 1,
             f"scene_share: expected a share in [0, 1], got {self.scene_share}",
         )

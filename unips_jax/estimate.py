@@ -73,6 +73,8 @@ def _main(argv: Sequence[str] | None = None) -> None:
     for folder, target in targets.items():
         try:
             _estimate_folder(folder, target, network, arguments)
+        except BrokenPipeError:
+            raise
         except Exception as error:
             if len(targets) == 1:
                 raise

@@ -11,6 +11,7 @@ import contextlib
 import json
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -127,6 +128,12 @@ def check_target(target: Path, source: Path) -> None:
             f"{target}: expected a new folder or one with earlier results "
             f"({RECORD}), got one with other files; choose another -o"
         )
+    place = next(p for p in (target, *target.absolute().parents) if p.exists())
+    if not (place.is_dir() and os.access(place, os.W_OK)):
+        raise InputError(
+            f"{target}: cannot be written, {place} is a file or may not be written to; "
+            "choose another -o"
+        )
 
 
 @contextlib.contextmanager
@@ -143,9 +150,12 @@ def appearing_at_once(target: Path) -> Iterator[Path]:
     Raises:
         InputError: if the file system refuses.
     """
-    temporary = target.parent / f".{target.name}.{os.getpid()}.partial"
+    temporary = target
     try:
-        temporary.mkdir(parents=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        prefix, suffix = f".{target.name}.", ".partial"
+        temporary = Path(tempfile.mkdtemp(suffix, prefix, target.parent))
+        temporary.chmod(0o755)
         yield temporary
         if not target.exists():
             temporary.rename(target)
@@ -158,4 +168,5 @@ def appearing_at_once(target: Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error}") from None
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if temporary != target:
+            shutil.rmtree(temporary, ignore_errors=True)

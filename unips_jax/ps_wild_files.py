@@ -15,6 +15,24 @@ import cv2
 import numpy as np
 import OpenEXR
 
+from unips_jax.command import InputError
+
+
+def check_picture_name(path: Path, option: str) -> None:
+    """Refuses names that `write_picture` has no format for.
+
+    Args:
+        path: of the picture.
+        option: of the command line that gave it.
+
+    Raises:
+        InputError: naming the option.
+    """
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".tif"):
+        raise InputError(
+            f"{option}: expected a file ending in .png, .jpg or .tif, got {path}"
+        )
+
 
 def write_picture(path: Path, pixels: np.ndarray) -> None:
     """Writes RGB or grey pixels; the suffix chooses the format."""
@@ -23,6 +41,7 @@ def write_picture(path: Path, pixels: np.ndarray) -> None:
     ok, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels))
     if not ok:
         raise OSError(f"{path}: could not be encoded")
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data.tobytes())
 
 

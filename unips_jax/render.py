@@ -8,6 +8,7 @@ z to the viewer, background 32768); `meta.json` says what was drawn.
 """
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import jax
 import numpy as np
 
 from unips_jax.command import InputError, command, track
-from unips_jax.ps_wild_files import write_folder, write_picture
+from unips_jax.ps_wild_files import check_picture_name, write_folder, write_picture
 from unips_jax.scenes import (
     LIGHT_KINDS,
     MATERIALS,
@@ -67,11 +68,15 @@ def render_folders(
         images: per folder.
         size: side in pixels, a multiple of 4.
         seed: of the whole tree.
+
+    Raises:
+        InputError: if a folder is there that was rendered otherwise.
     """
     jobs = [(index, name) for index in range(objects) for name in LIGHTINGS]
     for index, name in track(jobs, "rendering"):
         folder = out / name / f"obj{index:03d}.data"
         if folder.exists():
+            _check_same(folder, seed=seed, size=size, images=images)
             continue
         key = jax.random.fold_in(jax.random.key(seed), index)
         batch = render_batch(
@@ -87,6 +92,18 @@ def render_folders(
             np.asarray, (scene.images, scene.mask, scene.normals)
         )
         write_folder(folder, photographs, mask, normals, facts)
+
+
+def _check_same(folder: Path, **expected: int) -> None:
+    """Refuses to keep a folder of another seed, size or number of photographs."""
+    facts = json.loads((folder / "meta.json").read_text())
+    facts["images"] = len(list(folder.glob("L_*")))
+    found = {name: facts.get(name) for name in expected}
+    if found != expected:
+        raise InputError(
+            f"{folder}: expected a folder of {expected}, got one of {found}; choose "
+            "another -o, or the same options"
+        )
 
 
 def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:
@@ -129,7 +146,6 @@ def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
         batch = render_batch(keys, size=size, num_images=3)
         batches.append(jax.tree.map(np.asarray, batch))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_picture(path, contact_sheet(joined))
 
 
@@ -161,11 +177,7 @@ def _main(argv: Sequence[str] | None = None) -> None:
                 f"--{name}: expected at least 1, got {getattr(options, name)}"
             )
     if options.sheet is not None:
-        if options.sheet.suffix.lower() not in (".png", ".jpg", ".jpeg", ".tif"):
-            raise InputError(
-                f"--sheet: expected a file ending in .png, .jpg or .tif, got "
-                f"{options.sheet}"
-            )
+        check_picture_name(options.sheet, "--sheet")
         render_sheet(options.sheet, size=options.size, seed=options.seed)
         print(f"wrote {options.sheet}")
     if options.output is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
+from unips_jax.command import InputError
 from unips_jax.config import MeshConfig
 
 # Smaller arrays are not worth splitting.
@@ -24,14 +25,14 @@ def make_mesh(config: MeshConfig) -> Mesh:
         config: how many devices along each.
 
     Raises:
-        ValueError: if the devices do not fill the mesh.
+        InputError: if there are not so many devices.
     """
     devices = jax.device_count()
     data = config.data or devices // config.fsdp
     if data * config.fsdp > devices or data == 0:
-        raise ValueError(
-            f"mesh: data={config.data} x fsdp={config.fsdp} asks for more devices "
-            f"than the {devices} there are"
+        raise InputError(
+            f"--mesh.data {config.data} --mesh.fsdp {config.fsdp}: expected no more "
+            f"than the {devices} devices there are; lower one of them"
         )
     used = jax.devices()[: data * config.fsdp]
     return jax.make_mesh(

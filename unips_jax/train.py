@@ -6,11 +6,11 @@ the seed and the step, and what does not is in the checkpoint.
 """
 
 import argparse
+import dataclasses
 import functools
 import itertools
 import json
 import runpy
-import signal
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -35,11 +35,20 @@ from unips_jax.sharding import (
     state_sharding,
     to_host,
 )
+from unips_jax.train_guards import (
+    alone_in,
+    check_finite,
+    check_input,
+    stop_on_sigterm,
+)
 from unips_jax.train_log import TrainLog
 from unips_jax.train_state import TrainState, init_state, new_state
 from unips_jax.train_step import Batch, train_step
 from unips_jax.validation import validate, validation_pictures
 from unips_jax.weights import load_weights, save_weights
+
+# Fields of a network that do not change what its parameters mean.
+_TRAINING_ONLY = {"remat", "dtype", "dropout_rate", "drop_path_rate"}
 
 
 def train(
@@ -59,17 +68,24 @@ def train(
         The state after the last step, or at SIGTERM.
 
     Raises:
-        InputError: if the folder holds a run with another configuration.
+        InputError: if the folder holds a run with another configuration (other than
+            its length, rhythm, place of the data or memory), another process trains
+            there, or the batch does not fit the devices.
         FloatingPointError: if the loss is not finite; the batch is saved.
     """
-    workdir.mkdir(parents=True, exist_ok=True)
     mesh = make_mesh(config.mesh)
+    check_input(config, mesh, workdir)
+    workdir.mkdir(parents=True, exist_ok=True)
     key = jax.random.key(config.train.seed)
     init_key, scene_key, step_key = jax.random.split(key, 3)
 
     shapes = jax.eval_shape(functools.partial(init_state, config), init_key)
     shardings = state_sharding(shapes, mesh)
-    with Checkpoints(workdir, config) as checkpoints:
+    with (
+        alone_in(workdir),
+        Checkpoints(workdir, config) as checkpoints,
+        stop_on_sigterm() as stop,
+    ):
         if checkpoints.latest_step() is None:
             state = new_state(config, init_key, shardings)
             if init_weights is not None:
@@ -89,23 +105,26 @@ def train(
             log.line,
         )
         batches = _batches(config, scene_key, mesh, first)
-        stop = _stop_on_sigterm()
         pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
         for step in range(first + 1, config.train.steps + 1):
             batch = next(batches)
             state, metrics = run_step(state, batch, step_key)
             if pending is not None:
-                _check_finite(*pending, workdir)
+                check_finite(*pending, workdir)
             pending = (step, batch, metrics)
             if step % config.train.log_every == 0:
                 log.metrics(step, jax.device_get(metrics))
             done = step == config.train.steps
-            if done or step % config.train.validate_every == 0:
+            validates = done or step % config.train.validate_every == 0
+            stopping = stop.is_set()
+            saves = done or stopping or step % config.train.checkpoint_every == 0
+            if validates or saves:
+                check_finite(*pending, workdir)
+            if validates:
                 record = _validate_and_keep_best(config, state, record, workdir, log)
-            if done or stop.is_set or step % config.train.checkpoint_every == 0:
-                _check_finite(*pending, workdir)
+            if saves:
                 checkpoints.save(step, state, record)
-            if stop.is_set:
+            if stopping:
                 log.line(f"stopped by SIGTERM after step {step}; checkpoint saved")
                 break
     params = to_host(state.released_params())
@@ -119,10 +138,16 @@ def _with_sharding(shape: jax.ShapeDtypeStruct, sharding: Any) -> jax.ShapeDtype
 
 def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
     model, params = load_weights(source)
-    if model != config.model:
+    run, own = dataclasses.asdict(config.model), dataclasses.asdict(model)
+    changed = {
+        name: (value, run[name])
+        for name, value in own.items()
+        if name not in _TRAINING_ONLY and run[name] != value
+    }
+    if changed:
         raise InputError(
-            f"--init-weights {source}: expected weights of the run's network, "
-            f"{to_json(config.model)}, got {to_json(model)}"
+            f"--init-weights {source}: expected weights of the run's network, got "
+            f"others (field: weights, run): {changed}; change --model or the weights"
         )
     place = functools.partial(
         jax.tree.map, lambda new, old: jax.device_put(new, old.sharding)
@@ -184,36 +209,6 @@ def _batches(
             yield jax.tree.map(place, next(folders))
 
 
-class _Stop:
-    """Set once the process has been asked to stop."""
-
-    is_set = False
-
-
-def _stop_on_sigterm() -> _Stop:
-    stop = _Stop()
-
-    def handle(signum: int, frame: Any) -> None:
-        stop.is_set = True
-
-    signal.signal(signal.SIGTERM, handle)
-    return stop
-
-
-def _check_finite(
-    step: int, batch: Batch, metrics: dict[str, jax.Array], workdir: Path
-) -> None:
-    loss = float(metrics["loss"])
-    if np.isfinite(loss) and np.isfinite(float(metrics["grad_norm"])):
-        return
-    path = workdir / f"nonfinite_step{step}.npz"
-    np.savez(path, **to_host(batch))
-    raise FloatingPointError(
-        f"step {step}: loss {loss} or its gradient is not finite; the batch is in "
-        f"{path}. Lower --optim.learning-rate or continue from an earlier checkpoint"
-    )
-
-
 def _validate_and_keep_best(
     config: Config,
     state: TrainState,
@@ -271,11 +266,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="All fields: --config FILE --workdir DIR --fields --help",
     )
     parser.add_argument("--config", required=True, help="file with get_config()")
     parser.add_argument("--workdir", required=True, type=Path)
     parser.add_argument("--init-weights", help="start a new run from these weights")
+    parser.add_argument(
+        "--fields", action="store_true", help="list the configuration's fields"
+    )
     parser.add_argument(
         "--distributed", action="store_true", help="join the other processes first"
     )
@@ -283,7 +280,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     if arguments.distributed:
         jax.distributed.initialize()
     keep_compiled()
-    config = tyro.cli(Config, default=load_config(arguments.config), args=overrides)
+    if arguments.fields:
+        overrides = ["--help"]
+    try:
+        default = load_config(arguments.config)
+        config = tyro.cli(Config, prog="unips train", default=default, args=overrides)
+    except ValueError as error:
+        raise InputError(f"--config {arguments.config}: {error}") from None
     start = time.monotonic()
     state = train(config, arguments.workdir, init_weights=arguments.init_weights)
     minutes = (time.monotonic() - start) / 60

@@ -28,8 +28,10 @@ class TrainLog:
         self._tensorboard: Any = _tensorboard(workdir) if self._active else None
         if self._active and self._path.exists():
             lines = self._path.read_text().splitlines()
-            kept = [x for x in lines if json.loads(x)["step"] <= first]
-            self._path.write_text("".join(f"{line}\n" for line in kept))
+            kept = [line for line in lines if _step_of(line) <= first]
+            beside = self._path.with_suffix(".partial")
+            beside.write_text("".join(f"{line}\n" for line in kept))
+            beside.replace(self._path)
 
     def metrics(self, step: int, values: Mapping[str, Any]) -> None:
         """Records the metrics of a step."""
@@ -63,6 +65,14 @@ class TrainLog:
         """Prints a line."""
         if self._active:
             print(text, file=sys.stderr, flush=True)
+
+
+def _step_of(line: str) -> float:
+    """The step of a line; infinite for one whose writing was cut off."""
+    try:
+        return json.loads(line)["step"]
+    except json.JSONDecodeError:
+        return float("inf")
 
 
 def _tensorboard(workdir: Path) -> Any:

@@ -29,6 +29,7 @@ from unips_jax.models.unips import UniPS
 Params = dict[str, Any]
 
 _ASSETS = Path(__file__).parent / "assets"
+SHIPPED = ("tiny",)
 
 # What the authors' weights need; sizes are the paper's.
 OFFICIAL_CONFIG = ModelConfig(
@@ -162,12 +163,11 @@ def weights_path(source: str | os.PathLike[str]) -> Path:
         if path.is_file():
             return path
         raise InputError(f"{path}: expected a weights file, found nothing there")
-    shipped = sorted(file.stem for file in _ASSETS.glob("*.safetensors"))
-    if str(source) in shipped:
+    if str(source) in SHIPPED:
         return _ASSETS / f"{source}.safetensors"
     raise InputError(
         f"weights {str(source)!r}: expected the path of a .safetensors file or one of "
-        f"the shipped {shipped}. Train some with `unips train`, or convert the "
+        f"the shipped {SHIPPED}. Train some with `unips train`, or convert the "
         "authors' with tools/convert_official.py"
     )
 

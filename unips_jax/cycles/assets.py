@@ -70,8 +70,9 @@ def find_materials(folder: Path) -> dict[str, dict[str, Any]]:
         folder: holds them, at any depth.
 
     Returns:
-        By the folder's name, what Blender's `materials.build` takes. The category is
-        that of the six whose name is part of the path, or "".
+        By the path below `folder`, what Blender's `materials.build` takes. The category
+        is that of the six whose name is part of this path, else of the folder's own
+        name, or "". Sets without a base colour are left out.
 
     Raises:
         InputError: if there are none.
@@ -83,16 +84,23 @@ def find_materials(folder: Path) -> dict[str, dict[str, Any]]:
             # "metal_basecolor" is a base colour: maps are told by the last word.
             if any(stem.endswith(word) for word in words):
                 place = picture.parent
-                parts = str(place.relative_to(folder.parent)).lower()
-                category = next((c for c in CATEGORIES if c.lower() in parts), "")
-                entry = found.setdefault(place.name, {"category": category, "maps": {}})
-                entry["maps"].setdefault(name, str(picture.resolve()))
-    if not any("baseColor" in entry["maps"] for entry in found.values()):
+                below = place.relative_to(folder).as_posix()
+                key = place.name if place == folder else below
+                entry = found.setdefault(key, {"category": _category(key, folder.name)})
+                entry.setdefault("maps", {}).setdefault(name, str(picture.resolve()))
+    found = {key: entry for key, entry in found.items() if "baseColor" in entry["maps"]}
+    if not found:
         raise InputError(
             f"--materials {folder}: expected pictures named *baseColor*, *roughness* "
             "and *metallic* in a folder per material, found no base colour"
         )
     return found
+
+
+def _category(*names: str) -> str:
+    """The category named in the first of the names that has one, or ""."""
+    named = (c for name in names for c in CATEGORIES if c.lower() in name.lower())
+    return next(named, "")
 
 
 def _number(text: str) -> int:
@@ -154,7 +162,9 @@ def manifest_jobs(
         InputError: if a column is missing or a category or lighting unknown.
     """
     by_name = {mesh.stem.lower(): mesh for mesh in meshes or []}
-    sets = {name.lower(): entry for name, entry in (materials or {}).items()}
+    named = (materials or {}).items()
+    sets = {name.lower().rpartition("/")[2]: entry for name, entry in named}
+    sets |= {name.lower(): entry for name, entry in named}
     try:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))

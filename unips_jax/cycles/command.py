@@ -19,7 +19,7 @@ from unips_jax.cycles import assets
 from unips_jax.cycles.blender_process import Blender, find_python
 from unips_jax.cycles.lighting import LIGHTINGS
 from unips_jax.cycles.run import Settings, render_set
-from unips_jax.ps_wild_files import write_picture
+from unips_jax.ps_wild_files import check_picture_name, write_picture
 
 PRESETS: dict[str, dict[str, Any]] = {
     "train": {"images": 10, "training": True},
@@ -80,6 +80,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     """
     given = vars(_parser().parse_args(argv))
     out, sheet = given.pop("output"), given.pop("sheet")
+    if sheet is not None:
+        check_picture_name(sheet, "--sheet")
     preset = PRESETS[given.pop("preset")]
     chosen: dict[str, Any] = {"objects": 6, "seed": 0, "environments": None, **preset}
     chosen |= {name: value for name, value in given.items() if value is not None}
@@ -113,6 +115,8 @@ def main(argv: Sequence[str] | None = None) -> None:
 def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
     """A column per object: its normals, then two photographs under each lighting.
 
+    What is missing of an object stays black.
+
     Args:
         root: of a set.
         tile: side of the pictures in pixels.
@@ -127,22 +131,24 @@ def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
     from unips_jax.data.sources import PSWildFolders, read_object
 
     folders = sorted(p for p in root.iterdir() if p.is_dir() and any(p.glob("*.data")))
-    rows: dict[str, list[np.ndarray]] = {}
+    rows: dict[str, dict[str, np.ndarray]] = {"": {}}
     for place in folders:
         source = PSWildFolders(place, min_images=1)
+        shown_here = rows.setdefault(place.name, {})
         for files in (source[i] for i in range(len(source))):
             shown = np.linspace(0, len(files.photographs) - 1, 2).astype(int)
             read = read_object(files, shown, tile)
             bright = srgb_encode(np.clip(read["images"], 0, 1))
-            rows.setdefault(place.name, []).append(np.concatenate(list(bright)))
-            if place == folders[0]:
-                normals = np.where(
-                    read["mask"][..., None], 0.5 * read["normals"] + 0.5, 0.25
-                )
-                rows.setdefault("", []).append(normals)
-    columns = max(map(len, rows.values()))
-    wide = [
-        np.concatenate(row + [np.zeros_like(row[0])] * (columns - len(row)), 1)
-        for _, row in sorted(rows.items())
-    ]
+            name = files.normals.parent.name
+            shown_here[name] = np.concatenate(list(bright))
+            rows[""][name] = np.where(
+                read["mask"][..., None], 0.5 * read["normals"] + 0.5, 0.25
+            )
+    if not rows[""]:
+        raise InputError(f"{root}: expected folders of objects, found none complete")
+    names = sorted(rows[""])
+    wide = []
+    for _, row in sorted(rows.items()):
+        black = np.zeros_like(next(iter(row.values())))
+        wide.append(np.concatenate([row.get(name, black) for name in names], 1))
     return np.rint(np.concatenate(wide) * 255).astype(np.uint8)

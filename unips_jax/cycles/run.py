@@ -302,11 +302,20 @@ def render_set(
 
 def _same_settings(path: Path, record: dict[str, Any]) -> None:
     """Refuses to go on with a set in another way than it was begun."""
-    text = json.dumps(record, indent=1) + "\n"
+    record = json.loads(json.dumps(record))
     if not path.exists():
-        path.write_text(text)
-    elif path.read_text() != text:
+        beside = path.with_suffix(".partial")
+        beside.write_text(json.dumps(record, indent=1) + "\n")
+        beside.replace(path)
+        return
+    before = json.loads(path.read_text())
+    changed = {
+        name: (before.get(name), record.get(name))
+        for name in sorted(before.keys() | record.keys())
+        if before.get(name) != record.get(name)
+    }
+    if changed:
         raise InputError(
-            f"{path}: the set was begun with other settings; take another folder, or "
-            "the same settings"
+            f"{path}: the set was begun with other settings (before, now): {changed}; "
+            "take another folder, or the same settings"
         )

@@ -1,0 +1,112 @@
+"""What a training run refuses, and what it lets pass."""
+
+import dataclasses
+import json
+import os
+import signal
+
+import jax
+import numpy as np
+import pytest
+
+from unips_jax.checkpoint import changed_fields
+from unips_jax.command import InputError
+from unips_jax.config import Config, DataConfig, MeshConfig, to_json
+from unips_jax.sharding import make_mesh
+from unips_jax.train_guards import (
+    alone_in,
+    check_finite,
+    check_input,
+    stop_on_sigterm,
+)
+from unips_jax.train_log import TrainLog
+
+CONFIG = Config(data=DataConfig(source="mixture", root="a", batch_size=8))
+MESH = make_mesh(MeshConfig(data=1))
+
+
+def altered(part, **fields):
+    section = dataclasses.replace(getattr(CONFIG, part), **fields)
+    return json.loads(to_json(dataclasses.replace(CONFIG, **{part: section})))
+
+
+@pytest.mark.parametrize(
+    ("part", "field", "value"),
+    [
+        ("data", "num_images", (3,)),
+        ("model", "hidden_dim", 96),
+        ("scenes", "noise_rate", 0.1),
+        ("train", "seed", 7),
+        ("train", "squared_loss", False),
+    ],
+)
+def test_what_a_run_learns_from_may_not_change(part, field, value):
+    changed = changed_fields(
+        json.loads(to_json(CONFIG)), altered(part, **{field: value})
+    )
+    assert list(changed) == [f"{part}.{field}"]
+
+
+@pytest.mark.parametrize(
+    ("part", "field", "value"),
+    [
+        ("data", "root", "b"),
+        ("data", "workers", 2),
+        ("model", "remat", True),
+        ("train", "steps", 7),
+    ],
+)
+def test_place_memory_and_length_may_change(part, field, value):
+    saved = json.loads(to_json(CONFIG))
+    assert not changed_fields(saved, altered(part, **{field: value}))
+
+
+def test_fields_of_a_later_version_do_not_end_a_run():
+    saved = json.loads(to_json(CONFIG))
+    del saved["scenes"]["spare_rate"]
+    assert not changed_fields(saved, json.loads(to_json(CONFIG)))
+
+
+def test_a_folder_serves_one_run(tmp_path):
+    with alone_in(tmp_path):
+        with pytest.raises(InputError, match="another process trains there"):
+            with alone_in(tmp_path):
+                pass
+    with alone_in(tmp_path):
+        pass
+
+
+def test_bad_input_is_named(tmp_path):
+    check_input(CONFIG, MESH, tmp_path)
+    nowhere = dataclasses.replace(CONFIG.data, root="")
+    with pytest.raises(InputError, match=r"--data\.root: expected the folder"):
+        check_input(dataclasses.replace(CONFIG, data=nowhere), MESH, tmp_path)
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(InputError, match="--workdir .*file: expected a folder"):
+        check_input(CONFIG, MESH, file)
+    too_many = MeshConfig(fsdp=2 * jax.device_count())
+    with pytest.raises(InputError, match=r"--mesh\.fsdp"):
+        make_mesh(too_many)
+
+
+def test_the_signal_handler_is_put_back():
+    before = signal.getsignal(signal.SIGTERM)
+    with stop_on_sigterm() as stop:
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stop.wait(1)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_loss_that_is_not_finite_says_how_to_go_on(tmp_path):
+    metrics = {"loss": np.float32("nan"), "grad_norm": np.float32(1)}
+    with pytest.raises(FloatingPointError, match="choose another --workdir"):
+        check_finite(3, {"mask": np.ones(2)}, metrics, tmp_path)
+    assert np.all(np.load(tmp_path / "nonfinite_step3.npz")["mask"] == 1)
+
+
+def test_a_torn_line_of_metrics_does_not_end_a_run(tmp_path):
+    file = tmp_path / "metrics.jsonl"
+    file.write_text('{"step": 1}\n{"step": 2}\n{"st')
+    TrainLog(tmp_path, 1, 5)
+    assert file.read_text() == '{"step": 1}\n'
