@@ -187,6 +187,8 @@ def test_paper_size():
         ({"aggregation_heads": 7}, "aggregation_heads"),
         ({"attention": "mine"}, "attention"),
         ({"dropout_rate": 1.5}, "dropout_rate"),
+        ({"depths": (2, 0, 4, 2)}, "depths"),
+        ({"aggregation_layers": -1}, "aggregation_layers"),
     ],
 )
 def test_configuration_errors_name_the_field(changes, field):

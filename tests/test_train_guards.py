@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import signal
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -83,11 +84,27 @@ def test_bad_input_is_named(tmp_path):
         check_input(dataclasses.replace(CONFIG, data=nowhere), MESH, tmp_path)
     file = tmp_path / "file"
     file.touch()
+    with pytest.raises(InputError, match=r"--data\.batch-size 8: .* 3 devices"):
+        check_input(CONFIG, SimpleNamespace(size=3), tmp_path)
     with pytest.raises(InputError, match="--workdir .*file: expected a folder"):
         check_input(CONFIG, MESH, file)
     too_many = MeshConfig(fsdp=2 * jax.device_count())
     with pytest.raises(InputError, match=r"--mesh\.fsdp"):
         make_mesh(too_many)
+
+
+@pytest.mark.parametrize(
+    ("part", "field", "value"),
+    [
+        ("optim", "warmup_steps", -1),
+        ("optim", "b2", 1.0),
+        ("data", "workers", -1),
+        ("train", "validation_scenes", -1),
+    ],
+)
+def test_configurations_name_the_field(part, field, value):
+    with pytest.raises(ValueError, match=f"{field}: expected"):
+        altered(part, **{field: value})
 
 
 def test_the_signal_handler_is_put_back():

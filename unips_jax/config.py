@@ -10,7 +10,12 @@ import json
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar
 
-from unips_jax.checks import require, require_choice, require_positive
+from unips_jax.checks import (
+    require,
+    require_choice,
+    require_not_negative,
+    require_positive,
+)
 from unips_jax.scenes.config import SceneConfig
 
 _T = TypeVar("_T")
@@ -98,6 +103,13 @@ class ModelConfig:
             *("hidden_dim", "aggregation_heads", "aggregation_mlp_dim"),
             *("pma_mlp_dim", "predictor_dim"),
         )
+        require_not_negative(self, "aggregation_layers")
+        for name in ("patch_channels", "depths", "pool_scales"):
+            values = getattr(self, name)
+            require(
+                min(values, default=1) >= 1,
+                f"{name}: expected positive numbers, got {values}",
+            )
         require(
             self.canonical_size % 4 == 0,
             f"canonical_size: expected a multiple of 4, got {self.canonical_size}",
@@ -190,6 +202,7 @@ class DataConfig:
         require_choice("source", self.source, ("scenes", "folders", "mixture"))
         require_choice("frame", self.frame, ("image", "mask"))
         require_positive(self, "image_size", "batch_size", "num_pixels")
+        require_not_negative(self, "max_tokens", "workers")
         require(
             len(self.num_images) > 0 and min(self.num_images) >= 1,
             f"num_images: expected set sizes of at least 1, got {self.num_images}",
@@ -249,11 +262,13 @@ class OptimConfig:
         """
         require_choice("name", self.name, ("adamw", "muon"))
         require_choice("schedule", self.schedule, ("cosine", "step"))
-        require_positive(self, "learning_rate", "decay_every", "accumulate")
-        require(
-            0 <= self.ema_decay < 1,
-            f"ema_decay: expected a decay in [0, 1), got {self.ema_decay}",
+        require_positive(
+            self, "learning_rate", "decay_every", "decay_rate", "accumulate"
         )
+        require_not_negative(self, "warmup_steps", "weight_decay", "clip_norm")
+        for name in ("b2", "ema_decay"):
+            decay = getattr(self, name)
+            require(0 <= decay < 1, f"{name}: expected a decay in [0, 1), got {decay}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -316,6 +331,7 @@ class TrainConfig:
             *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
             "validation_images",
         )
+        require_not_negative(self, "seed", "validation_scenes")
 
 
 @dataclasses.dataclass(frozen=True)
