@@ -14,6 +14,7 @@ from unips_jax.checkpoint import changed_fields
 from unips_jax.command import InputError
 from unips_jax.config import Config, DataConfig, MeshConfig, to_json
 from unips_jax.sharding import make_mesh
+from unips_jax.train import load_config
 from unips_jax.train_guards import (
     alone_in,
     check_finite,
@@ -127,3 +128,13 @@ def test_a_torn_line_of_metrics_does_not_end_a_run(tmp_path):
     file.write_text('{"step": 1}\n{"step": 2}\n{"st')
     TrainLog(tmp_path, 1, 5)
     assert file.read_text() == '{"step": 1}\n'
+
+
+def test_a_bad_configuration_file_is_named(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from unips_jax.config import Config, DataConfig\n"
+        "def get_config():\n    return Config(data=DataConfig(batch_size=0))\n"
+    )
+    with pytest.raises(InputError, match=r"mine\.py: batch_size: expected a positive"):
+        load_config(str(file))

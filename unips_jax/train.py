@@ -250,14 +250,17 @@ def load_config(path: str) -> Config:
     """Runs a configuration file and returns what its `get_config()` gives.
 
     Raises:
-        InputError: if there is no such file or function.
+        InputError: if there is no such file or function, or a field's value is bad.
     """
     if not Path(path).is_file():
         raise InputError(f"--config {path}: expected a Python file, found nothing")
     names = runpy.run_path(path)
     if "get_config" not in names:
         raise InputError(f"--config {path}: expected a function get_config() in it")
-    return names["get_config"]()
+    try:
+        return names["get_config"]()
+    except ValueError as error:
+        raise InputError(f"--config {path}: {error}") from None
 
 
 @command
@@ -282,11 +285,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     keep_compiled()
     if arguments.fields:
         overrides = ["--help"]
-    try:
-        default = load_config(arguments.config)
-        config = tyro.cli(Config, prog="unips train", default=default, args=overrides)
-    except ValueError as error:
-        raise InputError(f"--config {arguments.config}: {error}") from None
+    default = load_config(arguments.config)
+    config = tyro.cli(Config, prog="unips train", default=default, args=overrides)
     start = time.monotonic()
     state = train(config, arguments.workdir, init_weights=arguments.init_weights)
     minutes = (time.monotonic() - start) / 60
