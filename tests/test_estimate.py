@@ -122,7 +122,7 @@ def test_transfer(tmp_path, calls, dtype, choice, expected):
 
 
 def test_official_reader(folder, tmp_path, calls):
-    arguments = ["--reader", "official", "--size", 32, "--transfer", "srgb"]
+    arguments = ["--reader", "official", "--size", 32]
     assert run(folder, "-o", tmp_path / "out", *arguments) == 0
     (call,) = calls
     assert call["images"].shape == (EXAMPLES, 32, 32, 3)
@@ -130,6 +130,26 @@ def test_official_reader(folder, tmp_path, calls):
     means = call["images"][:, call["mask"]].mean(axis=(1, 2))
     np.testing.assert_allclose(means, 1, rtol=1e-5)
     assert np.load(tmp_path / "out/pot/normals.npy").shape == (32, 32, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("--reader", "official", "--transfer", "srgb"), "takes every file as linear"),
+        (("--size", 32), "--size 32: results have the photographs' size"),
+    ],
+)
+def test_options_of_the_other_reader_are_refused(
+    folder, tmp_path, calls, capsys, arguments, expected
+):
+    assert run(folder, "-o", tmp_path / "out", *arguments) == 2
+    assert expected in capsys.readouterr().err and calls == []
+
+
+def test_a_negative_seed_is_refused(folder, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        run(folder, "-o", tmp_path / "out", "--max-images", 2, "--seed", -1)
+    assert "expected 0 or more, got -1" in capsys.readouterr().err
 
 
 def test_drawn_images_are_printed(folder, tmp_path, calls, capsys):

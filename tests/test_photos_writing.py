@@ -113,11 +113,13 @@ def test_srgb_and_shading_of_known_values():
     np.testing.assert_allclose(shade(facing, 90)[0], [0, cos, sin, 0], atol=1e-6)
 
 
-@pytest.mark.parametrize("count", [1, 2, 13])
-def test_sheet_shows_inputs_normals_and_lights(tmp_path, normals, count):
+@pytest.mark.parametrize(
+    ("count", "dtype"), [(1, np.uint8), (2, np.uint16), (13, np.uint8)]
+)
+def test_sheet_shows_inputs_normals_and_lights(tmp_path, normals, count, dtype):
     mask = normals.any(axis=-1)
-    images = np.zeros((count, *mask.shape, 3), np.uint8)
-    images[..., 0] = 200  # red photographs
+    images = np.zeros((count, *mask.shape, 3), dtype)
+    images[..., 0] = np.iinfo(dtype).max // 255 * 200  # red photographs
     path = tmp_path / "sheet.png"
     title = "a $title_ \u7d75"
     write_sheet(path, images, normals, mask, title=title, subtitle="b", encoded=True)

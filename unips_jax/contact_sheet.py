@@ -134,9 +134,9 @@ def _inputs(
     tiles = []
     for i in chosen:
         tile = _fit(images[i][view])
-        if encoded and images.dtype == np.uint8:
-            tile /= 255
-        else:
+        if images.dtype.kind == "u":
+            tile /= np.iinfo(images.dtype).max
+        if not encoded:
             tile = srgb_encode(tile / max(float(np.percentile(tile, 99.5)), 1e-12))
         tiles.append(_over_background(tile, frame))
     return tiles

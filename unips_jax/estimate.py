@@ -66,6 +66,7 @@ class _Capture:
 
 def _main(argv: Sequence[str] | None = None) -> None:
     arguments = _parser().parse_args(argv)
+    _check_reader(arguments)
     targets = _targets(arguments.folders, arguments.output)
     keep_compiled()
     network = _load_network(arguments)
@@ -104,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     add("-o", "--output", required=True, type=Path, metavar="OUT", help="results")
     add("--mask", type=Path, metavar="FILE", help="in place of each DIR's mask.png")
     add("--max-images", type=_positive, metavar="K", help="use K, drawn with --seed")
-    add("--seed", type=int, default=0, help="seed of the draw (default 0)")
+    add("--seed", type=_seed, default=0, help="seed of the draw (default 0)")
     add(
         "--transfer",
         choices=("auto", *get_args(Transfer)),
@@ -120,7 +121,6 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--size",
         type=_positive,
-        default=512,
         metavar="S",
         help="side that --reader official resizes to (default 512)",
     )
@@ -152,6 +152,28 @@ def _positive(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected 1 or more, got {value}")
     return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"expected 0 or more, got {value}")
+    return value
+
+
+def _check_reader(arguments: argparse.Namespace) -> None:
+    """The official reader has its own size and takes every file as linear."""
+    official = arguments.reader == "official"
+    if official and arguments.transfer == "srgb":
+        raise InputError(
+            "--transfer srgb: the authors' reader takes every file as linear; leave "
+            "out --reader official"
+        )
+    if arguments.size is not None and not official:
+        raise InputError(
+            f"--size {arguments.size}: results have the photographs' size; leave it "
+            "out, or add --reader official"
+        )
 
 
 def _targets(folders: Sequence[Path], output: Path) -> dict[Path, Path]:
@@ -253,7 +275,7 @@ def _estimate(capture: _Capture, network: _Network, *, official: bool) -> np.nda
 
 def _read(selection: Selection, arguments: argparse.Namespace) -> _Capture:
     if arguments.reader == "official":
-        images, mask, _ = read_official(selection, size=arguments.size)
+        images, mask, _ = read_official(selection, size=arguments.size or 512)
         return _Capture(images, mask, "linear")
     images, mask = read_photographs(
         selection, track=functools.partial(track, description="reading photographs")

@@ -7,17 +7,15 @@ as they are stored: no scaling, no transfer function. Alpha is dropped.
 The EXIF orientation is applied, for photographs and masks alike, so that pixels are
 where every viewer shows them: a mask drawn over the displayed photograph fits.
 
-A damaged file is never read as a picture with a grey rest: decoders that only
-complain (on standard error, which is kept quiet here) are taken at their word, and
-JPEG and PNG must have their end markers.
+A damaged file is not read as a picture with a wrong rest where its decoder notices:
+those that only complain (on standard error, which is kept quiet here) are taken at
+their word, and JPEG and PNG must have their end markers.
 """
 
 import contextlib
 import io
-import math
 import os
 import re
-import struct
 import sys
 import tempfile
 import threading
@@ -29,20 +27,15 @@ import numpy as np
 import OpenEXR
 
 from unips_jax.command import InputError
+from unips_jax.exif import JPEG_START, PNG_START, jpeg_segments
 
 SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr", ".hdr")
 )
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
-_JPEG_MAGIC = b"\xff\xd8\xff"
 _JPEG_END = b"\xff\xd9"
-_PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xae\x42\x60\x82"
-_ORIENTATION_TAG = 0x0112
-_EXIF_TAG = 0x8769
-_FOCAL_35MM_TAG = 0xA405
-_DIAGONAL_MM = math.hypot(36, 24)
 
 
 def read_image(path: Path) -> np.ndarray:
@@ -80,37 +73,15 @@ def read_image(path: Path) -> np.ndarray:
     return _checked(path, image)
 
 
-def exif_orientation(path: Path) -> int:
-    """The orientation in a JPEG's EXIF data, 1 (upright) to 8; 1 where there is none.
+def as_float(image: np.ndarray) -> np.ndarray:
+    """An image's values in float32; integers are divided by their type's largest.
 
     Args:
-        path: the file; other formats give 1.
+        image: uint8, uint16 or float32, of any shape.
     """
-    value = _exif(path).get(_ORIENTATION_TAG, 1)
-    return value if 1 <= value <= 8 else 1
-
-
-def exif_focal(path: Path, height: int, width: int) -> float | None:
-    """The focal length in a JPEG's EXIF data, in pixels; None where there is none.
-
-    Args:
-        path: the file; other formats give None.
-        height: of the image in pixels.
-        width: likewise. The 35 mm equivalent refers to the images' diagonals.
-    """
-    equivalent = _exif(path).get(_FOCAL_35MM_TAG, 0)
-    return equivalent / _DIAGONAL_MM * math.hypot(height, width) or None
-
-
-def _exif(path: Path) -> dict[int, int]:
-    """Integers among a JPEG's EXIF data, by tag."""
-    with contextlib.suppress(OSError), path.open("rb") as file:
-        data = file.read(1 << 18)
-        for marker, start, end in _jpeg_segments(data):
-            if marker == 0xE1 and data[start : start + 6] == b"Exif\0\0":
-                with contextlib.suppress(struct.error, KeyError):
-                    return _tiff_tags(data[start + 6 : end])
-    return {}
+    if image.dtype.kind == "u":
+        return image.astype(np.float32) / np.iinfo(image.dtype).max
+    return image.astype(np.float32, copy=False)
 
 
 def _checked(path: Path, image: np.ndarray) -> np.ndarray:
@@ -134,9 +105,9 @@ def _checked(path: Path, image: np.ndarray) -> np.ndarray:
 
 def _decode(data: bytes) -> np.ndarray | None:
     """Decodes with OpenCV; None if the data is damaged or unknown."""
-    if data.startswith(_PNG_MAGIC) and _PNG_END not in data:
+    if data.startswith(PNG_START) and _PNG_END not in data:
         return None
-    if data.startswith(_JPEG_MAGIC) and not _jpeg_ends(data):
+    if data.startswith(JPEG_START) and not _jpeg_ends(data):
         return None
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
     try:
@@ -151,7 +122,8 @@ def _decode(data: bytes) -> np.ndarray | None:
 def _decode_exr(path: Path) -> np.ndarray | None:
     """Decodes R, G, B or else Y, of the only layer that has them."""
     try:
-        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+        file = OpenEXR.File(str(path), separate_channels=True)
+        header, channels = file.header(), file.channels()
         planes = {name: channel.pixels for name, channel in channels.items()}
     except Exception:  # the binding raises several kinds for a damaged file
         return None
@@ -161,11 +133,39 @@ def _decode_exr(path: Path) -> np.ndarray | None:
         }
         names = [layer + c for layer in sorted(layers)[:1] for c in colours]
         if len(layers) == 1 and all(name in planes for name in names):
-            return np.stack([planes[name] for name in names], axis=-1)
+            image = np.stack([planes[name] for name in names], axis=-1)
+            return _displayed(image, header["dataWindow"], header["displayWindow"])
     raise InputError(
         f"{path}: expected the channels R, G, B or Y in one layer, got "
         f"{', '.join(sorted(planes)) or 'none'}; export one RGB layer"
     )
+
+
+def _displayed(
+    image: np.ndarray,
+    data: tuple[np.ndarray, np.ndarray],
+    display: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """The display window of an EXR image; zeros where it has no data.
+
+    Args:
+        image: `[h, w, C]`, the data window.
+        data: the window's first and last (x, y).
+        display: likewise.
+    """
+    (left, top), (right, bottom) = data[0] - display[0], data[1] - display[0] + 1
+    width, height = display[1] - display[0] + 1
+    if (left, top, right, bottom) == (0, 0, width, height):
+        return image
+    result = np.zeros((height, width, image.shape[-1]), image.dtype)
+    rows = slice(max(top, 0), min(bottom, height))
+    columns = slice(max(left, 0), min(right, width))
+    if rows.start < rows.stop and columns.start < columns.stop:
+        result[rows, columns] = image[
+            rows.start - top : rows.stop - top,
+            columns.start - left : columns.stop - left,
+        ]
+    return result
 
 
 @contextlib.contextmanager
@@ -197,50 +197,18 @@ def _quiet_decoders() -> Iterator[list[str]]:
 def _complaint(lines: list[str]) -> str:
     """The first error among a decoder's lines, in parentheses; "" if none."""
     for line in lines:
-        if re.search("error", line, re.IGNORECASE) and not re.search(
-            "warn", line, re.IGNORECASE
+        # Some cameras leave extraneous bytes between a JPEG's segments: no damage.
+        if re.search("error|corrupt|premature end", line, re.IGNORECASE) and not (
+            re.search("warn|extraneous bytes", line, re.IGNORECASE)
         ):
             text = re.sub(r"^\[.*?\] global \S+ \S+ ", "", line)
             return f" (the decoder says: {text[:120]})"
     return ""
 
 
-def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yields (marker, start, end) of a JPEG's segments, up to the first scan."""
-    position = 2 if data.startswith(_JPEG_MAGIC) else len(data)
-    while position + 4 <= len(data) and data[position] == 0xFF:
-        marker = data[position + 1]
-        if marker == 0xFF:  # a fill byte
-            position += 1
-            continue
-        length = int.from_bytes(data[position + 2 : position + 4], "big")
-        yield marker, position + 4, position + 2 + length
-        if marker == 0xDA:
-            return
-        position += 2 + length
-
-
 def _jpeg_ends(data: bytes) -> bool:
     """Whether the end marker follows the first scan (thumbnails have their own)."""
-    for marker, _, end in _jpeg_segments(data):
+    for marker, _, end in jpeg_segments(data):
         if marker == 0xDA:
             return data.find(_JPEG_END, end) >= 0
     return False
-
-
-def _tiff_tags(data: bytes) -> dict[int, int]:
-    """The 16- and 32-bit integers of the first directory and the EXIF one."""
-    order = {b"II": "<", b"MM": ">"}[data[:2]]
-    found: dict[int, int] = {}
-    (first,) = struct.unpack_from(order + "I", data, 4)
-    for pointer in (None, _EXIF_TAG):
-        offset = first if pointer is None else found.get(pointer)
-        if offset is None:
-            break
-        (count,) = struct.unpack_from(order + "H", data, offset)
-        for entry in range(offset + 2, offset + 2 + 12 * count, 12):
-            tag, kind, _ = struct.unpack_from(order + "HHI", data, entry)
-            if kind in (3, 4):
-                code = order + ("H" if kind == 3 else "I")
-                (found[tag],) = struct.unpack_from(code, data, entry + 8)
-    return found

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from unips_jax.command import InputError
-from unips_jax.image_files import read_image
-from unips_jax.photos import Selection, mask_for
+from unips_jax.image_files import as_float, read_image
+from unips_jax.photos import Selection, mask_for, require_one_orientation
 
 _MARGIN = 4
 
@@ -34,10 +34,11 @@ def read_official(
         as stored) or None.
 
     Raises:
-        InputError: if a file cannot be used, sizes differ, or an image is black
-            inside the mask.
+        InputError: if a file cannot be used, sizes or orientations differ, or an
+            image is black inside the mask.
     """
-    first = _as_float(read_image(selection.files[0]))
+    require_one_orientation(selection)
+    first = _as_rgb(read_image(selection.files[0]))
     shape = first.shape[:2]
     normal_file = selection.folder / "normal.tif"
     normals = None
@@ -90,15 +91,12 @@ def official_crop(mask: np.ndarray) -> tuple[slice, slice]:
     return crop[0], crop[1]
 
 
-def _as_float(image: np.ndarray) -> np.ndarray:
-    """RGB in float32; integers divided by their type's largest value."""
-    if image.dtype != np.float32:
-        image = image.astype(np.float32) / np.iinfo(image.dtype).max
-    return np.broadcast_to(image, (*image.shape[:2], 3))
+def _as_rgb(image: np.ndarray) -> np.ndarray:
+    return np.broadcast_to(as_float(image), (*image.shape[:2], 3))
 
 
 def _sized(file: Path, shape: tuple[int, ...]) -> np.ndarray:
-    image = _as_float(read_image(file))
+    image = _as_rgb(read_image(file))
     if image.shape[:2] != shape:
         raise InputError(
             f"{file}: expected {shape[1]} x {shape[0]} pixels as the first photograph, "

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from unips_jax.command import InputError
-from unips_jax.image_files import SUFFIXES, exif_orientation, read_image
+from unips_jax.exif import exif_orientation
+from unips_jax.image_files import SUFFIXES, read_image
 
 _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
 _MAP_NAME = re.compile(
@@ -127,7 +128,7 @@ def read_photographs(
             mask is empty, or an image is black inside it.
     """
     first = selection.files[0]
-    _require_one_orientation(selection.files)
+    require_one_orientation(selection)
     images = mask = np.empty(0)
     for i, file in enumerate(track(selection.files)):
         image = read_image(file)
@@ -179,6 +180,24 @@ def read_mask(file: Path) -> np.ndarray:
             "everywhere; paint the object white, or remove the mask"
         )
     return mask
+
+
+def require_one_orientation(selection: Selection) -> None:
+    """Raises InputError if the photographs' EXIF orientations differ.
+
+    Args:
+        selection: the files.
+    """
+    files = selection.files
+    first = exif_orientation(files[0])
+    for file in files[1:]:
+        other = exif_orientation(file)
+        if other != first:
+            raise InputError(
+                f"{file}: expected EXIF orientation {first} as in {files[0].name}, got "
+                f"{other}; if the camera stood still, remove the tag from all files "
+                "(exiftool -Orientation= FILES), else leave this one out"
+            )
 
 
 def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
@@ -235,18 +254,6 @@ def _nothing_found(
     if folders:
         text += f"; it has folders, give those: {folder / folders[0]}"
     return text
-
-
-def _require_one_orientation(files: tuple[Path, ...]) -> None:
-    first = exif_orientation(files[0])
-    for file in files[1:]:
-        other = exif_orientation(file)
-        if other != first:
-            raise InputError(
-                f"{file}: expected EXIF orientation {first} as in {files[0].name}, got "
-                f"{other}; if the camera stood still, remove the tag from all files "
-                "(exiftool -Orientation= FILES), else leave this one out"
-            )
 
 
 def _require_alike(

@@ -9,6 +9,7 @@ import numpy as np
 from unips_jax.canonical import Frame, FrameKind, resize_weights, square_frame
 from unips_jax.config import ModelConfig
 from unips_jax.estimation import CHUNK_TOKENS, decode, encode
+from unips_jax.image_files import as_float
 
 # Set sizes that are compiled; a set is padded to the next.
 _BUCKETS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 80, 96, 128)
@@ -49,11 +50,19 @@ def estimate_photographs(
     bucket = next((b for b in _BUCKETS if b >= n), n)
     valid = np.arange(bucket) < n
     square = square_frame(mask, frame)
+    resize = tuple(
+        np.asarray(
+            resize_weights(
+                start, square.side, config.canonical_size, length, config.antialias
+            )
+        )
+        for start, length in zip((square.top, square.left), mask.shape, strict=True)
+    )
     inputs = np.zeros((bucket, *[config.canonical_size] * 2, 4), np.float32)
     gains = np.zeros(n, np.float32)
     for i in range(n):
         inputs[i], gains[i] = _canonical_photograph(
-            images[i], mask, square, transfer, config
+            images[i], mask, square, resize, transfer, config
         )
     contexts = _encode_jit(
         params, inputs, valid, config=config, uniform_contexts=uniform_contexts
@@ -64,8 +73,8 @@ def estimate_photographs(
     done, total = 0, int(np.count_nonzero(mask))
     for y, x in _masked_pixels(mask, size):
         pixels = np.zeros((size, bucket, 3), np.float32)
-        for i in range(n):
-            pixels[: y.size, i] = _linear(images[i][y, x], transfer) * gains[i]
+        values = _linear(images[:, y, x], transfer) * gains[:, None, None]
+        pixels[: y.size, :n] = values.swapaxes(0, 1)
         places = tuple(np.resize(p, size).astype(np.int32) for p in (y, x))
         decoded = _decode_jit(
             params, contexts, pixels, places, square, valid, config=config
@@ -101,9 +110,7 @@ def _masked_pixels(
 
 def _linear(values: np.ndarray, transfer: str) -> np.ndarray:
     """Values of linear light, float32, in [0, 1] for integers."""
-    if values.dtype.kind == "u":
-        values = values.astype(np.float32) / np.iinfo(values.dtype).max
-    values = values.astype(np.float32, copy=False)
+    values = as_float(values)
     if transfer == "srgb":
         low = values / 12.92
         high = ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4
@@ -115,20 +122,26 @@ def _canonical_photograph(
     image: np.ndarray,
     mask: np.ndarray,
     frame: Frame,
+    resize: tuple[np.ndarray, ...],
     transfer: str,
     config: ModelConfig,
 ) -> tuple[np.ndarray, float]:
     """`normalize_images` and `canonical_images` of a photograph, a few rows at a time.
+
+    Args:
+        image: `[H, W, 3]`.
+        mask: `[H, W]`.
+        frame: the square that the encoder sees.
+        resize: weights of the rows `[s, H]` and columns `[s, W]`.
+        transfer: how values encode light.
+        config: the network's configuration.
 
     Returns:
         What the encoder sees, `[s, s, 4]`, and the photograph's gain: one over the mean
         of its masked pixels.
     """
     size = config.canonical_size
-    rows, columns = (
-        np.asarray(resize_weights(start, frame.side, size, length, config.antialias))
-        for start, length in zip((frame.top, frame.left), mask.shape, strict=True)
-    )
+    rows, columns = resize
     inner = slice(max(0, int(frame.left)), int(frame.left) + int(frame.side))
     columns = columns[:, inner]
     resized, total = np.zeros((size, columns.shape[1] * 4), np.float32), 0.0

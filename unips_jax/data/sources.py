@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from unips_jax.command import InputError
-from unips_jax.image_files import SUFFIXES, read_image
+from unips_jax.image_files import SUFFIXES, as_float, read_image
 
 
 class TrainingObject(NamedTuple):
@@ -119,9 +119,7 @@ def read_object(
 
 def _read(path: Path) -> np.ndarray:
     """An image `[H, W, 3]`, float32; integers become [0, 1]."""
-    image = read_image(path)
-    if image.dtype != np.float32:
-        image = image.astype(np.float32) / np.iinfo(image.dtype).max
+    image = as_float(read_image(path))
     return np.broadcast_to(image, (*image.shape[:2], 3))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from unips_jax.command import InputError
 from unips_jax.evaluation.benchmarks import files, images
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
-from unips_jax.image_files import exif_focal
+from unips_jax.exif import exif_focal
 
 _TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
 

@@ -1,0 +1,107 @@
+"""Orientation from EXIF data."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from test_photos import HEIGHT, WIDTH, save, smooth
+
+from unips_jax.command import InputError
+from unips_jax.exif import exif_orientation
+from unips_jax.image_files import read_image
+from unips_jax.official_reader import read_official
+from unips_jax.photos import read_photographs, select
+
+
+def exif(orientation):
+    tiff = struct.pack("<2sHIHHHII", b"II", 42, 8, 1, 0x0112, 3, 1, orientation)
+    return tiff + b"\0\0\0\0"
+
+
+def with_orientation(jpeg: bytes, orientation: int) -> bytes:
+    body = b"Exif\0\0" + exif(orientation)
+    segment = b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
+    return jpeg[:2] + segment + jpeg[2:]
+
+
+def test_exif_orientation_is_applied_as_viewers_do(tmp_path):
+    upright = smooth(np.uint8)
+    path = save(tmp_path / "a.jpg", np.ascontiguousarray(np.rot90(upright)))
+    path.write_bytes(with_orientation(path.read_bytes(), 6))  # turn clockwise to view
+    assert exif_orientation(path) == 6
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[3:9, 4:30] = 255
+    save(tmp_path / "mask.png", mask)  # drawn over the picture as shown
+    images, read = read_photographs(select(tmp_path))
+    assert np.abs(images[0].astype(int) - upright).max() <= 4
+    np.testing.assert_array_equal(read, mask > 0)
+
+
+def test_differing_orientations_are_refused(tmp_path):
+    for name, orientation in (("a.jpg", 1), ("b.jpg", 3)):
+        path = save(tmp_path / name, smooth(np.uint8))
+        path.write_bytes(with_orientation(path.read_bytes(), orientation))
+    for read in (read_photographs, read_official):
+        with pytest.raises(InputError, match=r"b\.jpg: expected EXIF.* 1 .*got 3"):
+            read(select(tmp_path))
+
+
+def tiff_with_orientation(tiff, orientation):
+    """With a new first directory, at the end, that has the tag too."""
+    (directory,) = struct.unpack_from("<I", tiff, 4)
+    (count,) = struct.unpack_from("<H", tiff, directory)
+    entries = [
+        tiff[directory + 2 + 12 * i : directory + 14 + 12 * i] for i in range(count)
+    ]
+    entries.append(struct.pack("<HHII", 0x0112, 3, 1, orientation))
+    entries.sort(key=lambda entry: struct.unpack_from("<H", entry))
+    end = len(tiff) + len(tiff) % 2
+    return (
+        tiff[:4]
+        + struct.pack("<I", end)
+        + tiff[8:].ljust(end - 8, b"\0")
+        + struct.pack("<H", count + 1)
+        + b"".join(entries)
+        + b"\0\0\0\0"
+    )
+
+
+def png_with_orientation(png, orientation):
+    chunk = b"eXIf" + exif(orientation)
+    length, checksum = struct.pack(">I", len(chunk) - 4), zlib.crc32(chunk)
+    return png[:33] + length + chunk + struct.pack(">I", checksum) + png[33:]
+
+
+def webp_with_orientation(webp, orientation):
+    features = struct.pack("<I", 8)  # it has EXIF data
+    size = struct.pack("<I", WIDTH - 1)[:3] + struct.pack("<I", HEIGHT - 1)[:3]
+    chunks = [(b"VP8X", features + size), (b"EXIF", exif(orientation))]
+    first, last = (name + struct.pack("<I", len(body)) + body for name, body in chunks)
+    body = b"WEBP" + first + webp[12:] + last
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype", "add"),
+    [
+        (".tif", np.uint8, tiff_with_orientation),
+        (".tif", np.uint16, tiff_with_orientation),
+        (".png", np.uint8, png_with_orientation),
+        (".webp", np.uint8, webp_with_orientation),
+    ],
+)
+def test_whatever_the_decoder_turns_is_reported(tmp_path, suffix, dtype, add):
+    path = save(tmp_path / f"a{suffix}", smooth(dtype))
+    upright = read_image(path)
+    assert exif_orientation(path) == 1
+    path.write_bytes(add(path.read_bytes(), 3))
+    np.testing.assert_array_equal(read_image(path), upright[::-1, ::-1])
+    assert exif_orientation(path) == 3
+
+
+@pytest.mark.parametrize("data", [b"", b"II*\0", b"\xff\xd8\xff\xe1", b"\x89PNG"])
+def test_damaged_exif_is_upright(tmp_path, data):
+    path = tmp_path / "a.tif"
+    path.write_bytes(data)
+    assert exif_orientation(path) == 1
