@@ -12,6 +12,8 @@ FLAGS = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=
 if version("jaxlib").startswith("0.10."):  # others may stop at a flag they do not know
     FLAGS += " --xla_cpu_use_fusion_emitters=false"  # a third of the time without
 os.environ.setdefault("XLA_FLAGS", FLAGS)
+# GPUs would multiply float32 with 10 bits of mantissa, the golden arrays did not.
+os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

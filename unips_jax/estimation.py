@@ -146,6 +146,9 @@ def estimate_normals(
     Images need not be square: the encoder sees the smallest square around the mask,
     with zeros where it leaves the image, and no aspect ratio changes.
 
+    On NVIDIA GPUs JAX multiplies float32 matrices with 10 bits of mantissa unless
+    `jax.default_matmul_precision("highest")` surrounds the call.
+
     Args:
         params: the network's parameters.
         images: `[N, H, W, 3]`, linear RGB, of any scale (each is divided by its mean).
