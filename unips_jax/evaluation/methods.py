@@ -131,7 +131,7 @@ CLASSICAL = (
 )
 """What `classical` stands for on the command line."""
 
-_UNIPS_CODE = ("models", "ops.py", "estimation.py", "streaming.py")
+_UNIPS_CODE = ("models", "canonical.py", "estimation.py", "ops.py", "streaming.py")
 
 NAMES = ("unips", *BASELINES)
 
