@@ -1,6 +1,7 @@
 """Sheets and the report, the latter in a real browser."""
 
 import io
+import json
 import re
 import shutil
 import subprocess
@@ -95,6 +96,45 @@ def test_report_needs_nothing_else(work):
         assert f'id="{word}"' in html
     assert len(re.findall('class="sheet"', html)) == 6
     assert html.count("image/svg+xml") == 4
+
+
+def best(html, table):
+    """Per row of a table: its first cell, and the columns that are bold."""
+    text = re.search(rf'data-name="{table}".*?</table>', html, re.S).group()
+    rows = [re.findall("<td.*?</td>", row, re.S) for row in text.split("<tr")[2:]]
+    return [
+        (
+            re.sub("<.*?>", "", row[0]),
+            [c for c, cell in enumerate(row) if re.search('class=".* best"', cell)],
+        )
+        for row in rows
+    ]
+
+
+def test_bold_compares_means_over_the_same_objects(work):
+    html = (work / "report.html").read_text()
+    # Least squares ran under directional light alone, where it is ahead.
+    objects = best(html, "objects")
+    assert objects[:3] == [
+        *(("directional/obj000", [3]), ("directional/obj001", [3])),
+        ("environment/obj000", []),
+    ]
+    assert objects[-1] == ("mean", [])
+    assert not any(columns for _, columns in best(html, "angles"))
+    label, columns = best(html, "summary")[0]
+    assert label.startswith("woodham") and columns == [3]
+
+
+def test_published_means_are_over_the_lightings_evaluated(work):
+    tables = json.loads((work / "tables" / "tables.json").read_text())
+    for name in ("summary", "images"):
+        columns, rows = tables[name]["columns"], tables[name]["rows"]
+        shown = [dict(zip(columns, row, strict=True)) for row in rows]
+        published = [row for row in shown if row["Source"] == "published"]
+        assert published
+        for row in published:
+            pair = [row["directional"], row["environment"]]
+            assert row["Mean"] == pytest.approx(np.mean(pair))
 
 
 def test_sheets_are_there_and_not_redrawn(work):

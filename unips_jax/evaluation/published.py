@@ -128,19 +128,19 @@ DATA = {
 """What the published scores of a benchmark were measured on."""
 
 
-def mean(row: Published, objects: Sequence[str] = ()) -> float | None:
+def mean(row: Published, evaluated: Sequence[str] = ()) -> float:
     """The row's mean.
 
     Args:
         row: as published.
-        objects: where the row is by object, those evaluated here.
+        evaluated: the objects and lightings of this run.
 
     Returns:
         The printed mean, or that of the row's scores. Where only some of a row's
-        objects were evaluated, the mean over those; None if it cannot be known.
+        objects or lightings were evaluated, the mean over those.
     """
     named = [name for name in row.scores if name != "mean"]
-    shown = [row.scores[name] for name in named if name in objects]
+    shown = [row.scores[name] for name in named if name in evaluated]
     if shown and len(shown) < len(named):
         return sum(shown) / len(shown)
     if "mean" in row.scores:
@@ -148,13 +148,13 @@ def mean(row: Published, objects: Sequence[str] = ()) -> float | None:
     return sum(row.scores.values()) / len(row.scores)
 
 
-def comparable(rows: Sequence[Published], objects: Sequence[str]) -> list[Published]:
-    """The rows whose mean can be set beside one over these objects.
+def comparable(rows: Sequence[Published], evaluated: Sequence[str]) -> list[Published]:
+    """The rows whose mean can be set beside one over these objects and lightings.
 
-    Where a benchmark's scores are published by object and only some objects were
+    Where a benchmark's scores are published by object or lighting and only some were
     evaluated, rows that print nothing but a mean are left out.
     """
     known = {name for row in rows for name in row.scores} - {"mean"}
-    if not known & set(objects) or known <= set(objects):
+    if not known & set(evaluated) or known <= set(evaluated):
         return list(rows)
     return [row for row in rows if set(row.scores) != {"mean"}]

@@ -2,7 +2,7 @@
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -18,7 +18,7 @@ from unips_jax.evaluation.pictures import (
 from unips_jax.evaluation.protocols import Case
 from unips_jax.evaluation.scores import error_map
 from unips_jax.evaluation.sheets import Panel
-from unips_jax.evaluation.summary import Results, Table
+from unips_jax.evaluation.summary import Cell, Results, Table
 from unips_jax.evaluation.tables import TEMPLATES, environment
 
 _PICTURE_LIMIT = 320
@@ -113,9 +113,7 @@ def report(
     template = environment(html=True).get_template("report.html.j2")
     text = template.render(
         results=results,
-        tables=[
-            (table, _best(table, results.labels), _numeric(table)) for table in tables
-        ],
+        tables=[(table, _best(table, results), _numeric(table)) for table in tables],
         charts=_charts(results),
         exhibits=exhibits,
         # "<" must not close the script element that holds the JSON.
@@ -136,31 +134,62 @@ def _charts(results: Results) -> list[tuple[str, str]]:
     return [(title, _uri("image/svg+xml", svg)) for title, svg in drawn if svg]
 
 
-def _best(table: Table, labels: Sequence[str]) -> set[tuple[int, int]]:
-    """Cells to show in bold: the lowest of a row, or of a column in the summary."""
+def _best(table: Table, results: Results) -> set[tuple[int, int]]:
+    """Cells to show in bold: the lowest of a row, or of a column in the summary.
+
+    Means over different objects do not compare: methods that lack some are left out.
+    """
     best = set()
     if table.name == "summary":
         own = [r for r, row in enumerate(table.rows) if row[2] == "this run"]
-        # Means over different objects do not compare.
-        most = max(_evaluated(table.rows[r][-1]) for r in own)
-        full = [r for r in own if _evaluated(table.rows[r][-1]) == most]
-        overall = table.columns.index("Mean")
         for c, heading in enumerate(table.columns):
+            lit = {"lighting": heading} if heading in results.lightings else {}
+            complete = _complete(results, lit)
             known = [
-                (_number(table.rows[r][c]), r) for r in (full if c >= overall else own)
+                (_number(table.rows[r][c]), r)
+                for r in own
+                if table.rows[r][0] in complete
             ]
             values = [(v, r) for v, r in known if v is not None]
-            if values and heading != "Images":
+            if values:
                 pick = max if heading.startswith("%") else min
                 best |= {(r, c) for v, r in values if v == pick(values)[0]}
     elif table.name in ("objects", "categories", "views", "angles"):
-        columns = [c for c, name in enumerate(table.columns) if name in labels]
         for r, row in enumerate(table.rows):
-            known = [(_number(row[c]), c) for c in columns]
+            mean = table.name != "objects" or row[0] == "mean"
+            picked = _complete(results, _tags(table, row)) if mean else results.labels
+            known = [
+                (_number(row[c]), c)
+                for c, name in enumerate(table.columns)
+                if name in picked
+            ]
             values = [(v, c) for v, c in known if v is not None]
             if len(values) > 1:
                 best |= {(r, c) for v, c in values if v == min(values)[0]}
     return best
+
+
+def _tags(table: Table, row: Sequence[Cell]) -> dict[str, Cell]:
+    """What the objects have in common that a row of means is over."""
+    tag = {"categories": "category", "views": "view"}.get(table.name)
+    if tag is None:
+        return {}
+    lit = {"lighting": row[1]} if "Lighting" in table.columns else {}
+    return {tag: row[0], **lit}
+
+
+def _complete(results: Results, tags: Mapping[str, Cell]) -> set[str]:
+    """The methods that have scores of the most objects with these tags."""
+    scored = {
+        label: sum(
+            tags.items() <= result.tags.items()
+            for result in results.of(label, results.main_count)
+            if result.score
+        )
+        for label in results.labels
+    }
+    most = max(scored.values())
+    return {label for label, count in scored.items() if count == most}
 
 
 def _numeric(table: Table) -> set[int]:
@@ -169,11 +198,6 @@ def _numeric(table: Table) -> set[int]:
     return {
         c for c in columns if any(isinstance(row[c], int | float) for row in table.rows)
     }
-
-
-def _evaluated(cell: object) -> int:
-    """The first number of "4 of 12"."""
-    return int(str(cell).split()[0])
 
 
 def _number(cell: object) -> float | None:

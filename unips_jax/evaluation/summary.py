@@ -78,6 +78,11 @@ class Results:
         named = [r.tags["lighting"] for r in self.results if "lighting" in r.tags]
         return list(dict.fromkeys(named))
 
+    @property
+    def evaluated(self) -> list[str]:
+        """Objects and lightings: what published scores may be named by."""
+        return [*self.objects, *self.lightings]
+
     def of(self, label: str, count: int | None) -> list[Result]:
         """A method's results."""
         return [r for r in self.results if r.label == label and r.count == count]
@@ -144,7 +149,7 @@ def _summary(results: Results) -> Table:
         [
             *(row.method, _number(row.images), "published"),
             *(row.scores.get(lighting) for lighting in lightings),
-            *(mean(row, results.objects), *[None] * (len(THRESHOLDS_DEG) + 2)),
+            *(mean(row, results.evaluated), *[None] * (len(THRESHOLDS_DEG) + 2)),
         ]
         for row in _shown(results)
     ]
@@ -162,7 +167,7 @@ def _shown(results: Results) -> list[Published]:
     if any("uniform contexts" in label for label in results.labels):
         groups.add("contexts")
     known = [r for r in PUBLISHED.get(results.benchmark, ()) if r.group in groups]
-    return comparable(known, results.objects)
+    return comparable(known, results.evaluated)
 
 
 def _images(results: Results) -> Table:
@@ -178,7 +183,7 @@ def _images(results: Results) -> Table:
             [
                 *(row.method, _number(row.images), "published"),
                 *(row.scores.get(lighting) for lighting in lightings),
-                mean(row),
+                mean(row, results.evaluated),
             ]
             for row in PUBLISHED.get(results.benchmark, ())
             if row.group == "images"
@@ -223,7 +228,7 @@ def _objects(results: Results) -> Table:
             "mean",
             *[None] * len(tags),
             *averages,
-            *(mean(row, results.objects) for row in known),
+            *(mean(row, results.evaluated) for row in known),
         ]
     )
     columns = ["Object", *(tag.capitalize() for tag in tags), *results.labels]
