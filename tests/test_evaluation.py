@@ -278,6 +278,11 @@ def run(benchmark, root, work, *rest):
         (["--method", "constant", "--num-images", "0"], "expected 1 or more"),
         (["--method", "constant", "--objects", "x"], "no object 'x'"),
         (["--method", "constant", "--crop-size", "3"], "at least 8"),
+        (["--protocol", "native", "--crop-size", "32"], "expected --protocol crop"),
+        (["--method", "constant", "--seed", "-1"], "--seed: expected 0 or more"),
+        (["--method", "constant", "--weights", "tiny"], "--weights: expected"),
+        (["--method", "constant", "--canonical-size", "32"], "--canonical-size: exp"),
+        (["--method", "constant", "--uniform-contexts"], "--uniform-contexts: exp"),
     ],
 )
 def test_bad_commands_stop_before_any_work(ps_wild, tmp_path, capsys, rest, message):

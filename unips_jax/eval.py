@@ -23,19 +23,29 @@ from unips_jax.evaluation.tables import text_of
 def _main(argv: Sequence[str] | None = None) -> None:
     arguments = _parser().parse_args(argv)
     workdir = Path(arguments.workdir)
+    _check_options(arguments)
     benchmark = open_benchmark(
         arguments.benchmark, arguments.root, objects=arguments.objects
     )
     _check_workdir(workdir, benchmark)
     name: Any = arguments.protocol or benchmark.default_protocol
-    protocol = Protocol(name, arguments.crop_size)
+    protocol = Protocol(name)
+    if arguments.crop_size is not None:
+        if name == "native":
+            raise InputError(
+                f"--crop-size {arguments.crop_size}: expected --protocol crop, got "
+                "native; change the protocol or leave the size out"
+            )
+        protocol = Protocol(name, arguments.crop_size)
     if benchmark.name == "diligent102" and protocol.name != "native":
         raise InputError("diligent102: submissions need --protocol native")
     counts = list(dict.fromkeys(arguments.num_images))
     runner.check_counts(benchmark, counts)
     keep_compiled()
     options = UnipsOptions(
-        arguments.weights, arguments.canonical_size, arguments.uniform_contexts
+        arguments.weights or ["tiny"],
+        arguments.canonical_size,
+        arguments.uniform_contexts,
     )
     variants = load_variants(arguments.method, options)
     fingerprints = list(
@@ -45,6 +55,19 @@ def _main(argv: Sequence[str] | None = None) -> None:
         benchmark, variants, protocol, counts, arguments.seed, fingerprints
     )
     _evaluate(plan, Store(workdir), pictures=not arguments.no_pictures)
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    if arguments.seed < 0:
+        raise InputError(f"--seed: expected 0 or more, got {arguments.seed}")
+    if any(request.partition(":")[0] == "unips" for request in arguments.method):
+        return
+    for option in ("weights", "canonical_size", "uniform_contexts"):
+        if getattr(arguments, option):
+            raise InputError(
+                f"--{option.replace('_', '-')}: expected the method unips, got "
+                f"--method {' '.join(arguments.method)}; add unips or leave it out"
+            )
 
 
 def _check_workdir(workdir: Path, benchmark: Benchmark) -> None:
@@ -112,7 +135,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--weights",
         nargs="+",
-        default=["tiny"],
+        default=[],
         metavar="NAME",
         help="of unips: shipped names or files, each a method (default: tiny)",
     )
@@ -123,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
         help="crop: the paper's square crop around the mask; native: the images as "
         "they are (default: what the benchmark's published scores used)",
     )
-    add("--crop-size", type=int, default=256, metavar="N", help="default: 256")
+    add("--crop-size", type=int, metavar="N", help="of the protocol crop; default: 256")
     add(
         "--num-images",
         type=_count,
