@@ -10,7 +10,7 @@ from scipy.io import loadmat
 
 from unips_jax import eval as evaluation
 from unips_jax.baselines.method import Estimated, Unsupported
-from unips_jax.evaluation import methods, protocols, runner, summary
+from unips_jax.evaluation import methods, protocols, publish, runner, summary
 from unips_jax.evaluation.benchmarks import open_benchmark
 from unips_jax.evaluation.methods import Variant
 from unips_jax.evaluation.protocols import Protocol
@@ -221,6 +221,20 @@ def test_tables_in_every_format_say_the_same(ps_wild, tmp_path):
     latex = files["tables.tex"].decode()
     assert rf"50\%\_|x & all & this run & {first[3]:.2f} &" in latex
     assert latex.count(r"\begin{tabular}") == len(tables)
+
+
+def test_tables_of_an_earlier_command_do_not_stay(ps_wild, tmp_path):
+    store, flat = Store(tmp_path), Recorder("flat")
+    for counts in ((2, 4), (4,)):
+        tables = summary.tables(
+            results_of(plan_of(ps_wild, flat, counts=counts), store)
+        )
+        assert {table.name for table in tables} <= set(summary.TABLES)
+        folder = publish.write_tables(store, tables)
+        (folder / "mine.csv").touch()
+        names = {path.stem for path in folder.glob("*.csv")}
+        assert names == {"mine", *(table.name for table in tables)}
+        assert ("images" in names) == (len(counts) == 2)
 
 
 def test_published_numbers_of_diligent_stand_beside_ours(tmp_path):

@@ -10,12 +10,12 @@ from unips_jax.evaluation.report import Exhibit, exhibit, report
 from unips_jax.evaluation.runner import Plan, Result
 from unips_jax.evaluation.sheets import Panel, sheet
 from unips_jax.evaluation.store import Store, slug, write_atomically
-from unips_jax.evaluation.summary import Results, Table
+from unips_jax.evaluation.summary import TABLES, Results, Table
 from unips_jax.evaluation.tables import files_of
 
 
 def write_tables(store: Store, tables: Sequence[Table]) -> Path:
-    """Writes the tables in all formats.
+    """Writes the tables in all formats, and removes those that only earlier runs had.
 
     Returns:
         Their folder.
@@ -23,8 +23,11 @@ def write_tables(store: Store, tables: Sequence[Table]) -> Path:
     folder = store.root / "tables"
     with store.claim("publish", wait=True):
         folder.mkdir(exist_ok=True)
-        for name, data in files_of(tables).items():
+        files = files_of(tables)
+        for name, data in files.items():
             write_atomically(folder / name, data)
+        for name in {f"{table}.csv" for table in TABLES} - set(files):
+            (folder / name).unlink(missing_ok=True)
     return folder
 
 

@@ -16,6 +16,12 @@ from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG
 
 Cell = str | int | float | None
 
+TABLES = (
+    *("summary", "images", "objects", "categories", "views", "angles"),
+    *("measures", "published", "methods", "remarks"),
+)
+"""Names of all tables that a run may have."""
+
 
 class Table(NamedTuple):
     """A table.
