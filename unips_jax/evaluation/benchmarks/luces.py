@@ -33,14 +33,10 @@ class Leds(NamedTuple):
 
     Attributes:
         focal: focal length in pixels.
-        centre: principal point (x, y) in pixels.
-        mean_distance: from the camera to the object, in millimetres.
         positions: `[N, 3]`, of the LEDs, in millimetres, as in the file.
     """
 
     focal: float
-    centre: tuple[float, float]
-    mean_distance: float
     positions: np.ndarray
 
 
@@ -117,4 +113,4 @@ def read_leds(path: Path) -> Leds:
     positions = np.array(leds)[:, :3]
     if not np.isfinite(positions).all():
         raise InputError(f"{path}: a LED's position is not finite")
-    return Leds(camera[3], (camera[4], camera[5]), camera[6], positions)
+    return Leds(camera[3], positions)
