@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from unips_jax import ops
+from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
 
 
 def test_window_round_trip():
@@ -113,3 +114,25 @@ def test_convolution_has_the_librarys_derivatives(strides, size):
     cotangent = jax.random.normal(keys[2], value.shape)
     for a, b in zip(ours_back(cotangent), librarys_back(cotangent), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-4)
+
+
+def test_angular_error_has_a_gradient_everywhere():
+    rng = np.random.default_rng(0)
+    true, predicted = rng.normal(size=(2, 4, 5, 3)).astype(np.float32)
+    true[0] = predicted[0] = 0  # background
+    true[1, 0] = predicted[1, 1] = 0
+    predicted[1, 2] = true[1, 2]
+    predicted[1, 3] = -true[1, 3]
+    special = np.zeros((4, 5), bool)
+    special[0] = special[1, :4] = True
+    errors = angular_error_deg(predicted, true)
+    np.testing.assert_array_equal(errors[special], [90.0] * 7 + [0, 180])
+    for mask in (~special, np.ones_like(special)):
+        slope = jax.grad(mean_angular_error_deg)(predicted, true, mask) * mask.sum()
+        np.testing.assert_array_equal(slope[special], 0)
+        for axis, step in enumerate(1e-2 * np.eye(3, dtype=np.float32)):
+            ends = (angular_error_deg(predicted + s * step, true) for s in (1, -1))
+            numeric = np.subtract(*ends) / 2e-2
+            np.testing.assert_allclose(
+                slope[..., axis][~special], numeric[~special], rtol=1e-2, atol=0.1
+            )

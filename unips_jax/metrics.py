@@ -17,14 +17,19 @@ def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
 
     Returns:
         Angles in degrees, `[...]`, in [0, 180]; 90 where either vector is zero, as
-        DiLiGenT's published table counts it.
+        DiLiGenT's published table counts it. The gradient is 0 there, and where the
+        vectors are parallel.
     """
     predicted = jnp.asarray(predicted, jnp.float32)
     true = jnp.asarray(true, jnp.float32)
-    cross = jnp.linalg.norm(jnp.cross(predicted, true), axis=-1)
+    squared = jnp.sum(jnp.cross(predicted, true) ** 2, axis=-1)
+    parallel = squared == 0
+    # Both arguments of a `where` are differentiated: the one not taken must be finite.
+    cross = jnp.where(parallel, 0.0, jnp.sqrt(jnp.where(parallel, 1.0, squared)))
     dot = jnp.sum(predicted * true, axis=-1)
-    angle = jnp.rad2deg(jnp.arctan2(cross, dot))
-    return jnp.where((cross == 0) & (dot == 0), 90.0, angle)
+    zero = parallel & (dot == 0)
+    angle = jnp.rad2deg(jnp.arctan2(cross, jnp.where(zero, 1.0, dot)))
+    return jnp.where(zero, 90.0, angle)
 
 
 def mean_angular_error_deg(
