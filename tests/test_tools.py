@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_baselines_gcnet import made_up
 from test_official_parity import official_arrays
 
+from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.weights import load_weights
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
@@ -49,6 +51,23 @@ def test_refusals_are_one_line(convert, tmp_path, capsys):
     assert "expected one file *_enc.pytmodel" in errors[0]
     assert "GCNet.pth: expected a torch state dict" in errors[1]
     assert not output.exists()
+
+
+@pytest.mark.parametrize("network", ["gcnet", "ps_fcn", "lcnet"])
+def test_converted_weights_are_the_method_that_is_told(
+    network, tmp_path, monkeypatch, capsys
+):
+    tool = runpy.run_path(str(TOOLS / "convert_official.py"))
+    arrays = made_up(network)
+    names = tool["main"].__wrapped__.__globals__
+    monkeypatch.setitem(names, "read_state_dict", lambda path: arrays)
+    checkpoint = tmp_path / "checkpoint.pth"
+    checkpoint.touch()
+    output = tmp_path / "converted.safetensors"
+    assert tool["main"]([str(checkpoint), "-o", str(output)]) == 0
+    told = capsys.readouterr().out.strip().partition("--method ")[2]
+    method, _ = load_variants([told], UnipsOptions(()))
+    assert method.label.startswith(f"{network.replace('_', '-')}:weights=converted")
 
 
 @pytest.mark.slow

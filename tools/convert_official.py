@@ -92,7 +92,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         network = gcnet_weights.identify(arrays)
         params = gcnet_weights.from_official(arrays, network)
         gcnet_weights.save_params(arguments.output, params, network)
-        print(f"{arguments.output}: use it with --method {network}:weights=FILE")
+        method = f"{network.replace('_', '-')}:weights={arguments.output}"
+        print(f"{arguments.output}: use it with --method {method}")
         return
     config, params = from_official(read_checkpoint(arguments.checkpoint))
     record = {"source": "the authors' checkpoint, converted"}
