@@ -195,6 +195,9 @@ def save_weights(
         params: its parameters.
         record: how they were made, anything JSON can hold.
         half: store float16.
+
+    Raises:
+        InputError: if it cannot be written.
     """
     dtype = np.float16 if half else np.float32
     arrays = {
@@ -203,11 +206,18 @@ def save_weights(
     }
     metadata = {"config": to_json(config), "record": json.dumps(dict(record or {}))}
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        file.write(save(arrays, metadata))
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, path)
+    data = save(arrays, metadata)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent) as place:
+            partial = Path(place) / path.name
+            partial.write_bytes(data)
+            partial.replace(path)
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected a place where weights can be written, got: "
+            f"{error.strerror}; free space there, or choose another"
+        ) from error
 
 
 def params_hash(config: ModelConfig, params: Params) -> str:
