@@ -1,7 +1,8 @@
-"""The converter of the authors' checkpoints."""
+"""The tools: converter, benchmark, training of GCNet."""
 
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -68,6 +69,28 @@ def test_converted_weights_are_the_method_that_is_told(
     told = capsys.readouterr().out.strip().partition("--method ")[2]
     method, _ = load_variants([told], UnipsOptions(()))
     assert method.label.startswith(f"{network.replace('_', '-')}:weights=converted")
+
+
+def test_benchmark_refuses_what_it_would_ignore(capsys):
+    benchmark = runpy.run_path(str(TOOLS / "benchmark.py"))["main"]
+    tiny = str(TOOLS.parent / "configs" / "tiny.py")
+    assert benchmark(["--train", "--config", tiny, "--size", "64"]) == 2
+    assert benchmark(["--objects", "2"]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 2
+    assert "--size 64: with --train" in errors[0]
+    assert "--objects 2: expected --train" in errors[1]
+
+
+@pytest.mark.parametrize(("platform", "unit"), [("darwin", 1e9), ("freebsd", 1e6)])
+def test_benchmark_knows_the_unit_of_memory(platform, unit, monkeypatch, tmp_path):
+    peak = runpy.run_path(str(TOOLS / "benchmark.py"))["peak_memory_gb"]
+    names = peak.__globals__
+    monkeypatch.setitem(names, "Path", lambda _: tmp_path / "no-proc")
+    usage = SimpleNamespace(ru_maxrss=int(3 * unit))
+    monkeypatch.setattr(names["resource"], "getrusage", lambda _: usage)
+    monkeypatch.setattr("sys.platform", platform)
+    assert peak() == 3
 
 
 @pytest.mark.slow

@@ -127,7 +127,8 @@ def peak_memory_gb() -> float:
     status = Path("/proc/self/status")
     if status.exists():
         return round(int(status.read_text().split("VmHWM:")[1].split()[0]) / 1e6, 2)
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, 2)
+    unit = 1e9 if sys.platform == "darwin" else 1e6  # bytes there, else kilobytes
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, 2)
 
 
 def forget_peak_memory() -> None:
@@ -227,16 +228,28 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--config", default="official", help="official, or a file")
     parser.add_argument("--images", type=int, default=10)
-    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--size", type=int, help="of the images (512)")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--train", action="store_true", help="a training step instead")
     parser.add_argument("--objects", type=int, help="in it; else what --config says")
     arguments = parser.parse_args(argv)
     if arguments.repeats < 1:
         raise InputError(f"--repeats {arguments.repeats}: expected 1 or more")
+    if arguments.objects is not None and not arguments.train:
+        raise InputError(
+            f"--objects {arguments.objects}: expected --train too, estimates are of "
+            "one object; add it, or leave --objects out"
+        )
+    size = 512 if arguments.size is None else arguments.size
+    official = arguments.config == "official"
+    if arguments.size is not None and arguments.train and not official:
+        raise InputError(
+            f"--size {size}: with --train, images have the size that --config "
+            f"{arguments.config} says; leave --size out"
+        )
     keep_compiled()
-    if arguments.config == "official":
-        data = DataConfig(image_size=arguments.size, batch_size=1)
+    if official:
+        data = DataConfig(image_size=size, batch_size=1)
         config = Config(model=OFFICIAL_CONFIG, data=data)
     else:
         config = load_config(arguments.config)
@@ -247,7 +260,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         result = training_benchmark(config, arguments.images, arguments.repeats)
     else:
         result = estimation_benchmark(
-            config.model, arguments.images, arguments.size, arguments.repeats
+            config.model, arguments.images, size, arguments.repeats
         )
     print(
         json.dumps(
