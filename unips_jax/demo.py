@@ -22,6 +22,7 @@ from unips_jax.normal_files import (
 )
 
 SAMPLE = Path(__file__).parent / "assets" / "sample"
+SIDE = 192  # of its images, in pixels
 
 
 def _main(argv: Sequence[str] | None = None) -> None:
@@ -38,8 +39,7 @@ def _main(argv: Sequence[str] | None = None) -> None:
 
     config, params = load_weights(arguments.weights)
     files = PSWildFolders(SAMPLE, min_images=1)[0]
-    size = read_size(files.normals)
-    sample = read_object(files, np.arange(len(files.photographs)), size)
+    sample = read_object(files, np.arange(len(files.photographs)), SIDE)
     images, mask, truth = (sample[name] for name in ("images", "mask", "normals"))
     with progress("estimating normals") as report:
         normals = estimate_photographs(
@@ -65,13 +65,6 @@ def _main(argv: Sequence[str] | None = None) -> None:
         write_record(place, {**record, "weights": str(arguments.weights)})
     print(f"{len(images)} photographs, {scores}")
     print(f"wrote {arguments.output}/: sheet.png, truth.png, normals.png, normals.npy")
-
-
-def read_size(file: Path) -> int:
-    """Side of a square image, in pixels."""
-    from unips_jax.image_files import read_image
-
-    return read_image(file).shape[0]
 
 
 main = command(_main)
