@@ -131,7 +131,10 @@ CLASSICAL = (
 )
 """What `classical` stands for on the command line."""
 
-_UNIPS_CODE = ("models", "canonical.py", "estimation.py", "ops.py", "streaming.py")
+_UNIPS_CODE = (
+    *("models", "canonical.py", "estimation.py", "image_files.py", "ops.py"),
+    "streaming.py",
+)
 
 NAMES = ("unips", *BASELINES)
 
