@@ -52,10 +52,12 @@ VARIANTS = [
     for attention, communication in itertools.product(
         ("pre_norm", "released"), ("none", "during", "pre", "post")
     )
-] + [{"aggregation": "max"}, {"context_sampling": "corner"}]
+] + [{"aggregation": "max"}, {"context_sampling": "corner"}, {"observation_dim": 4}]
 
 
-@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: "-".join(v.values()))
+@pytest.mark.parametrize(
+    "variant", VARIANTS, ids=lambda v: "-".join(map(str, v.values()))
+)
 def test_order_and_padding_of_images_do_not_matter(variant):
     network, params, (images, observed, *places) = make(
         dataclasses.replace(SHALLOW, **variant)
@@ -142,6 +144,21 @@ def test_every_parameter_is_reached_and_remat_changes_nothing():
     )
 
 
+def test_observations_begin_as_the_identity_and_change_the_result():
+    network, params, arguments = make(SHALLOW)
+    expected = network.apply({"params": params}, *arguments)
+    network = UniPS(dataclasses.replace(SHALLOW, observation_dim=4))
+    begun = network.init(jax.random.key(0), *arguments)["params"]["decoder"]
+    observation = begun["observation"]
+    params = params | {"decoder": params["decoder"] | {"observation": observation}}
+    np.testing.assert_array_equal(
+        network.apply({"params": params}, *arguments), expected
+    )
+    observation["change"]["bias"] = jnp.ones(2 * SHALLOW.context_dim)
+    changed = network.apply({"params": params}, *arguments)
+    assert abs(changed - expected).max() > 1e-3
+
+
 def test_dropout_acts_in_training_only():
     config = dataclasses.replace(SMALL, dropout_rate=0.5, drop_path_rate=0.5)
     network, params, arguments = make(config)
@@ -189,6 +206,7 @@ def test_paper_size():
         ({"dropout_rate": 1.5}, "dropout_rate"),
         ({"depths": (2, 0, 4, 2)}, "depths"),
         ({"aggregation_layers": -1}, "aggregation_layers"),
+        ({"observation_dim": -1}, "observation_dim"),
     ],
 )
 def test_configuration_errors_name_the_field(changes, field):

@@ -1,6 +1,7 @@
 """Training steps: optimisers, accumulation, augmentation, non-finite losses."""
 
 import dataclasses
+import operator
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 from training_runs import CONFIG, DATA, batch
 
+from unips_jax.config import OptimConfig
+from unips_jax.optim import make_optimizer
 from unips_jax.train_state import new_state
 from unips_jax.train_step import _accumulate, augment, train_step
 
@@ -27,6 +30,32 @@ def test_loss_falls(name):
         losses.append(float(metrics["loss"]))
     assert np.mean(losses[-5:]) < 0.5 * losses[0]
     assert int(state.step) == 30
+    assert metrics["untrained"] == 0
+    # Nothing passes a layer whose ReLUs are all off: here the last of the encoder.
+    fusion = state.params["encoder"]["fusion"]["fpn_bottleneck"]
+    fusion["bias"] -= 1e6
+    _, metrics = step(state, data, jax.random.key(1), config=config)
+    sizes = jax.tree.map(jnp.size, state.params)
+    encoder, decoder = (
+        jax.tree.reduce(operator.add, sizes[half]) for half in ("encoder", "decoder")
+    )
+    assert metrics["untrained"] == pytest.approx(encoder / (encoder + decoder))
+
+
+def test_a_step_moves_no_output_far():
+    """Of a layer whose inputs all agree, however many they are."""
+    config = OptimConfig(
+        name="muon", learning_rate=1e-3, warmup_steps=0, weight_decay=0, clip_norm=0
+    )
+    for shape in ((64, 64), (3, 3, 384, 64)):
+        kernel = jnp.zeros(shape)
+        optimizer = make_optimizer(config, 10)
+        inputs = np.ones(np.prod(shape[:-1]), np.float32)
+        gradient = jnp.asarray(np.outer(inputs, np.ones(64)).reshape(shape))
+        state = optimizer.init({"kernel": kernel})
+        update, _ = optimizer.update({"kernel": gradient}, state, {"kernel": kernel})
+        moved = inputs @ update["kernel"].reshape(-1, 64)
+        assert 1e-3 < abs(moved).max() < 0.02
 
 
 def test_accumulation_is_the_mean_of_its_parts():

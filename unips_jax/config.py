@@ -53,6 +53,9 @@ class ModelConfig:
         aggregation_mlp_dim: hidden width of its MLPs.
         pma_mlp_dim: hidden width of the MLP in the pooling by attention.
         predictor_dim: hidden width of the normal predictor.
+        observation_dim: width of an embedding of a pixel's observations, set beside
+            their mean over the images, that scales and shifts its contexts; 0: none
+            (the paper's network).
         dropout_rate: dropout in set attention, training only.
         context_sampling: where a pixel reads the contexts: at its centre ("center",
             clamped at the border) or at its corner with zeros beyond the border
@@ -85,6 +88,7 @@ class ModelConfig:
     aggregation_mlp_dim: int = 1024
     pma_mlp_dim: int = 512
     predictor_dim: int = 192
+    observation_dim: int = 0
     dropout_rate: float = 0.1
     context_sampling: Literal["center", "corner"] = "center"
     dtype: Literal["float32", "bfloat16", "float64"] = "float32"
@@ -103,7 +107,7 @@ class ModelConfig:
             *("hidden_dim", "aggregation_heads", "aggregation_mlp_dim"),
             *("pma_mlp_dim", "predictor_dim"),
         )
-        require_not_negative(self, "aggregation_layers")
+        require_not_negative(self, "aggregation_layers", "observation_dim")
         for name in ("patch_channels", "depths", "pool_scales"):
             values = getattr(self, name)
             require(
@@ -302,7 +306,7 @@ class TrainConfig:
         seed: of parameters, data order, scenes and dropout.
         squared_loss: of the distance between true and predicted normals (the paper's);
             False takes the distance itself, which follows the mean angular error.
-        log_every: steps between metric lines.
+        log_every: steps between metric lines, each of their means since the one before.
         checkpoint_every: steps between checkpoints.
         keep: how many checkpoints are kept.
         validate_every: steps between validations.

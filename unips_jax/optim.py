@@ -1,5 +1,6 @@
 """The optimiser: AdamW or Muon, with clipping and a schedule."""
 
+import math
 from typing import Any
 
 import jax
@@ -12,6 +13,10 @@ from unips_jax.config import OptimConfig
 # are otherwise, XLA on CPU repeats parts of each in the next and takes half again as
 # long.
 _NEWTON_SCHULZ = ((3.4445, -4.7750, 2.0315),) * 5
+
+
+# Inputs per output up to which Muon's step on a convolution is taken whole.
+_WIDE = 256
 
 
 def make_schedule(config: OptimConfig, steps: int) -> optax.Schedule:
@@ -67,6 +72,7 @@ def make_optimizer(config: OptimConfig, steps: int) -> optax.GradientTransformat
             consistent_rms=0.2,
             ns_coeffs=_NEWTON_SCHULZ,
         )
+        rule = optax.chain(rule, optax.stateless(_shorten_wide))
     if not config.clip_norm:
         return rule
     return optax.chain(optax.clip_by_global_norm(config.clip_norm), rule)
@@ -77,6 +83,22 @@ def is_kernel(params: Any) -> Any:
     return jax.tree_util.tree_map_with_path(
         lambda path, _: getattr(path[-1], "key", None) == "kernel", params
     )
+
+
+def _shorten_wide(updates: Any, _: Any) -> Any:
+    """Shortens Muon's steps on convolutions with many inputs.
+
+    A step moves an output by as much as there are inputs that agree. The inputs of a
+    3 x 3 convolution over hundreds of channels mostly do: their common part alone
+    pushed every ReLU of the pyramid pooling below zero for good, and what lies behind
+    it was never trained.
+    """
+
+    def shorten(update: jax.Array) -> jax.Array:
+        inputs = math.prod(update.shape[:-1])
+        return update * min(1.0, _WIDE / inputs) if update.ndim == 4 else update
+
+    return jax.tree.map(shorten, updates)
 
 
 def _matrix_axes(params: Any) -> Any:

@@ -106,14 +106,17 @@ def train(
         )
         batches = _batches(config, scene_key, mesh, first)
         pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
+        recent: list[dict[str, jax.Array]] = []  # since the last line
         for step in range(first + 1, config.train.steps + 1):
             batch = next(batches)
             state, metrics = run_step(state, batch, step_key)
             if pending is not None:
                 check_finite(*pending, workdir)
             pending = (step, batch, metrics)
+            recent.append(metrics)
             if step % config.train.log_every == 0:
-                log.metrics(step, jax.device_get(metrics))
+                log.metrics(step, _means(jax.device_get(recent)))
+                recent.clear()
             done = step == config.train.steps
             validates = done or step % config.train.validate_every == 0
             stopping = stop.is_set()
@@ -130,6 +133,10 @@ def train(
     params = to_host(state.released_params())
     _write_weights(workdir / "last.safetensors", config, params, int(state.step), {})
     return state
+
+
+def _means(values: list[dict[str, Any]]) -> dict[str, Any]:
+    return {name: np.mean([value[name] for value in values]) for name in values[0]}
 
 
 def _with_sharding(shape: jax.ShapeDtypeStruct, sharding: Any) -> jax.ShapeDtypeStruct:

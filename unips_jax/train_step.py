@@ -114,7 +114,8 @@ def train_step(
         config: of the run.
 
     Returns:
-        The state after it, and metrics: loss, mae_deg, grad_norm.
+        The state after it, and metrics: loss, mae_deg, grad_norm, and untrained, the
+        share of the parameters in arrays without any gradient.
     """
     key = jax.random.fold_in(key, state.step)
     gradient = jax.value_and_grad(
@@ -136,8 +137,20 @@ def train_step(
             config.optim.ema_decay, (1 + state.step) / (10 + state.step)
         )
         ema_params = optax.incremental_update(params, ema_params, 1 - decay)
-    metrics = {"loss": loss, "grad_norm": optax.tree.norm(grads), **metrics}
+    metrics = {
+        "loss": loss,
+        "grad_norm": optax.tree.norm(grads),
+        "untrained": _untrained(grads),
+        **metrics,
+    }
     return TrainState(state.step + 1, params, opt_state, ema_params), metrics
+
+
+def _untrained(grads: Any) -> Array:
+    """The share of the parameters in arrays whose gradient is zero throughout."""
+    sizes = jax.tree.map(lambda g: jnp.where(jnp.any(g != 0), 0, g.size), grads)
+    total = sum(g.size for g in jax.tree.leaves(grads))
+    return jax.tree.reduce(jnp.add, sizes) / total
 
 
 def _accumulate(gradient, params: Any, batch: Batch, key: Array, parts: int):

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import DTypeLike
 
 from unips_jax import ops
 from unips_jax.config import ModelConfig
@@ -20,6 +21,9 @@ from unips_jax.models.upernet import UPerNet
 
 # Components of a normal.
 _XYZ = 3
+
+# Of an image whose mean is 1: about the noise, below which ratios mean little.
+_DARK = 0.02
 
 
 class Encoder(nn.Module):
@@ -158,6 +162,48 @@ class Encoder(nn.Module):
         return self.fusion(maps)
 
 
+class Observation(nn.Module):
+    """Lets a pixel's observations scale and shift its contexts.
+
+    Beside each value stands its ratio to the set's mean, which no albedo changes. Our
+    addition to the paper; begins as the identity.
+
+    Attributes:
+        features: width of the embedding.
+        dtype: compute type.
+    """
+
+    features: int
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(self, pixels: Array, contexts: Array, valid: Array | None) -> Array:
+        """Changes the contexts.
+
+        Args:
+            pixels: `[..., N, 3]`, normalised RGB.
+            contexts: `[..., N, C]`.
+            valid: `[N]`, bool, or None.
+
+        Returns:
+            As `contexts`.
+        """
+        light = jnp.maximum(pixels.astype(jnp.float32), 0)
+        where = None if valid is None else valid[:, None]
+        mean = jnp.mean(light, axis=-2, keepdims=True, where=where)
+        values = [light, light / (mean + _DARK), jnp.log(light + _DARK)]
+        x = jnp.concatenate(values, axis=-1).astype(self.dtype)
+        x = ops.gelu(nn.Dense(self.features, dtype=self.dtype, name="embed")(x))
+        change = nn.Dense(
+            2 * contexts.shape[-1],
+            dtype=self.dtype,
+            kernel_init=nn.initializers.zeros,
+            name="change",
+        )(x)
+        scale, shift = jnp.split(change, 2, axis=-1)
+        return contexts * (1 + scale) + shift
+
+
 class Decoder(nn.Module):
     """The normal of a pixel from its set of N observations and contexts.
 
@@ -192,6 +238,8 @@ class Decoder(nn.Module):
                 dropout_rate=config.dropout_rate,
                 dtype=dtype,
             )
+        if config.observation_dim:
+            self.observation = Observation(config.observation_dim, dtype)
         self.fc1 = dense(config.predictor_dim, dtype)
         self.fc2 = dense(_XYZ, dtype)
 
@@ -225,6 +273,8 @@ class Decoder(nn.Module):
     ) -> Array:
         """Turns each set into one vector: `[..., hidden_dim]`."""
         dtype = self.config.dtype
+        if self.config.observation_dim:
+            contexts = self.observation(pixels, contexts, valid)
         sets = jnp.concatenate([pixels.astype(dtype), contexts.astype(dtype)], axis=-1)
         for layer in self.layers:
             sets = layer(sets, valid, deterministic)  # [..., N, hidden_dim]
