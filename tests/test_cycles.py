@@ -16,6 +16,7 @@ import pytest
 from unips_jax import render
 from unips_jax.command import InputError
 from unips_jax.cycles import assets, blender_process, lighting, run
+from unips_jax.cycles.blender import framing
 from unips_jax.cycles.environments import draw_environment, mean_radiance
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest, PSWildTrain
 
@@ -34,6 +35,8 @@ for line in sys.stdin:
     do, answer = request["do"], None
     if do == "version":
         answer = {"blender": "stand-in"}
+    if do == "place":
+        answer = "UNFIT" not in os.environ or request["rotation"][0] > 0.5
     if do == "build":
         shape = request["shape"]["kind"]
         if shape == "knot" and "CRASH" in os.environ:
@@ -135,6 +138,14 @@ def test_failures_are_recorded_and_the_rest_is_rendered(
         run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
     assert not any((tmp_path / "set" / "failures").iterdir())
     assert len(list((tmp_path / "set").glob("*/*.data"))) == 12
+
+
+def test_rotations_that_do_not_fit_are_drawn_again(stand_in, monkeypatch):
+    monkeypatch.setenv("UNFIT", "1")
+    with blender_process.Blender(stand_in) as blender:
+        for job in assets.drawn_jobs(3, 5):
+            facts = run.pose(blender, job, SETTINGS, np.random.default_rng(job.seed))
+            assert facts["rotation"][0] > 0.5
 
 
 def test_a_bad_environment_costs_one_lighting(stand_in, tmp_path, capsys):
@@ -320,3 +331,23 @@ def test_rotations_are_quaternions(facing):
         assert towards.min() >= np.cos(np.deg2rad(35)) - 1e-9
     else:
         assert towards.min() < -0.5
+
+
+def test_elongated_objects_reach_the_frame_too():
+    corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * [1, 1, 6]
+    corners = corners / np.linalg.norm(corners, axis=1).max()
+    rng = np.random.default_rng(0)
+    for index in range(200):
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        focal_mm = None if index % 10 == 0 else rng.uniform(35, 60)
+        points = corners @ turn
+        scale, offset, fits = framing.fit(points, focal_mm)
+        x, y, z = (scale * points + offset).T
+        ratio = 1.0
+        if focal_mm:
+            ratio = 2 * focal_mm / 36 / (framing.camera_distance(focal_mm) - z)
+            assert ratio.min() > 0
+        sides = [[(ratio * v).min(), (ratio * v).max()] for v in (x, y)]
+        assert fits and np.abs(sides).max() == pytest.approx(1, abs=0.01)
+        np.testing.assert_allclose(np.sum(sides, 1), 0, atol=0.02)
+    assert not framing.fit(corners * [1, 1, 4], 35.0)[2]  # a needle in the eye

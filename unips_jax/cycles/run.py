@@ -135,7 +135,7 @@ def _rotation(rng: np.random.Generator, *, facing: bool) -> list[float]:
 def pose(
     blender: Blender, job: Job, settings: Settings, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Builds an object and turns it until its normals are varied enough.
+    """Builds an object and turns it until it fits and its normals are varied enough.
 
     Raises:
         BlenderError: if Blender cannot build it, or no rotation will do.
@@ -146,7 +146,8 @@ def pose(
         focal_mm = float(np.exp(rng.uniform(np.log(35), np.log(200))))
     for _ in range(_ROTATIONS):
         rotation = _rotation(rng, facing=job.facing)
-        blender.ask("place", rotation=rotation, focal_mm=focal_mm)
+        if not blender.ask("place", rotation=rotation, focal_mm=focal_mm):
+            continue
         found = entropy_bits(read_truth(blender.picture("truth", size=_PREVIEW)))
         if found > settings.min_entropy_bits:
             facts: dict[str, Any] = {"rotation": rotation, "entropy_bits": found}
@@ -155,8 +156,8 @@ def pose(
                 facts["focal"] = focal_mm / 36 * settings.size
             return facts
     raise BlenderError(
-        f"entropy of the normals: at most {settings.min_entropy_bits} bits in "
-        f"{_ROTATIONS} rotations"
+        f"none of {_ROTATIONS} rotations fits the frame with an entropy of the normals "
+        f"of more than {settings.min_entropy_bits} bits"
     )
 
 

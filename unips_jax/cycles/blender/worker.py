@@ -9,7 +9,6 @@ between requests.
 """
 
 import json
-import math
 import os
 import sys
 import traceback
@@ -19,9 +18,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
-from . import materials, shapes
+from . import framing, materials, shapes
 
-FRAME_MM = 36.0  # the frame's side that focal lengths refer to
 PASSES = ("baseColor", "roughness", "metal")
 
 
@@ -79,46 +77,36 @@ class Studio:
         world = scene.world = bpy.data.worlds.new("world")
         world.use_nodes = True
         camera = bpy.data.cameras.new("camera")
-        camera.sensor_width = FRAME_MM
+        camera.sensor_width = framing.FRAME_MM
         scene.camera = bpy.data.objects.new("camera", camera)
         scene.collection.objects.link(scene.camera)
         _settings(scene, self.threads)
         return len(self.points)
 
-    def place(self, rotation: list[float], focal_mm: float | None) -> None:
+    def place(self, rotation: list[float], focal_mm: float | None) -> bool:
         """Turns the object and moves it so that its outline reaches the frame's edge.
 
         Args:
             rotation: a quaternion, w first.
             focal_mm: of a frame of 36 mm; None for an orthographic camera.
+
+        Returns:
+            Whether it does; see `framing.fit`.
         """
         turned = self.points @ np.array(Quaternion(rotation).to_matrix()).T
         camera = bpy.context.scene.camera
         if focal_mm is None:
-            distance = 10.0
             camera.data.type, camera.data.ortho_scale = "ORTHO", 2.0
         else:
-            distance = math.hypot(1, 2 * focal_mm / FRAME_MM)
             camera.data.type, camera.data.lens = "PERSP", focal_mm
         camera.data.clip_start, camera.data.clip_end = 0.01, 100.0
-        camera.location = (0, 0, distance)
-        scale, offset = 0.5, np.zeros(3)
-        for _ in range(30):
-            seen = scale * turned + offset
-            if focal_mm is None:
-                flat, factor = seen[:, :2], 1.0
-            else:
-                factor = 2 * focal_mm / FRAME_MM
-                depth = np.maximum(distance - seen[:, 2:], 0.05)
-                flat = factor * seen[:, :2] / depth
-                factor /= distance
-            low, high = flat.min(0), flat.max(0)
-            offset[:2] -= (low + high) / 2 / factor
-            scale *= 2 / (high - low).max()
+        camera.location = (0, 0, framing.camera_distance(focal_mm))
+        scale, offset, fits = framing.fit(turned, focal_mm)
         matrix = Quaternion(rotation).to_matrix().to_4x4()
         self.object.matrix_world = (
             Matrix.Translation(Vector(offset)) @ matrix @ Matrix.Scale(scale, 4)
         )
+        return fits
 
     def truth(self, path: str, size: int) -> None:
         """Writes normals, depth and material at the centres of the pixels.
@@ -181,7 +169,7 @@ class Studio:
             light.color = power / light.energy
             towards = Vector(lamp["direction" if sun else "position"])
             if sun:
-                light.angle = lamp.get("angle", 0.0)
+                light.angle = 0.0
             else:
                 light.size = lamp["side"]
             item = bpy.data.objects.new("lamp", light)
