@@ -278,7 +278,33 @@ for x in (0, 3):
     item = bpy.data.objects.new("tetrahedron", mesh)
     item.location = (x, 0, 0)
     bpy.context.scene.collection.objects.link(item)
+cutter = bpy.data.objects.new("cutter", mesh)
+cutter.hide_render = True
+bpy.context.scene.collection.objects.link(cutter)
 bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+"""
+RIGGED = """
+import sys
+
+import bpy
+
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_cube_add()
+cube = bpy.context.object
+bpy.ops.object.armature_add()
+cube.parent = bpy.context.object
+cube.vertex_groups.new(name="Bone").add(range(8), 1, "REPLACE")
+cube.modifiers.new("armature", "ARMATURE").object = cube.parent
+bpy.ops.export_scene.gltf(filepath=sys.argv[1])
+"""
+BALL = """
+import sys
+
+import bpy
+
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=3)
+bpy.ops.wm.obj_export(filepath=sys.argv[1], export_normals=False)
 """
 
 
@@ -291,6 +317,27 @@ def test_all_objects_of_a_blend_file_in_their_places(blender, tmp_path):
     truth = run.read_truth(blender.picture("truth", size=SIZE))
     parts, _ = cv2.connectedComponents(truth.mask.astype(np.uint8))
     assert parts == 1 + 2  # the background and both of them
+
+
+def test_bones_are_no_part_of_an_object(blender, tmp_path):
+    file = tmp_path / "rigged.glb"
+    subprocess.run([find_python(), "-c", RIGGED, file], check=True, capture_output=True)
+    shape, material = {"file": str(file)}, {"uniform": LAMBERTIAN}
+    assert blender.ask("build", shape=shape, material=material) == 6 * 4
+
+
+def test_scans_without_normals_are_smooth(blender, tmp_path):
+    """A ball of few faces has the normals of a sphere, not of its faces."""
+    file = tmp_path / "ball.obj"
+    subprocess.run([find_python(), "-c", BALL, file], check=True, capture_output=True)
+    shape, material = {"file": str(file)}, {"uniform": LAMBERTIAN}
+    blender.ask("build", shape=shape, material=material)
+    blender.ask("place", rotation=[1, 0, 0, 0], focal_mm=None)
+    truth = run.read_truth(blender.picture("truth", size=SIZE))
+    normals, mask = sphere()
+    inner = truth.mask & mask & (normals[..., 2] > 0.3)
+    cosine = (truth.normals * normals).sum(-1)[inner]
+    assert np.rad2deg(np.arccos(np.minimum(cosine, 1))).mean() < 1.5
 
 
 def test_killed_and_started_again_it_ends_with_the_same_bytes(blender, tmp_path):

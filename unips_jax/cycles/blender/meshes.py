@@ -99,7 +99,11 @@ def outward(mesh: Any) -> Any:
 
 
 def read_mesh(file: str) -> Any:
-    """All meshes of a file, joined, in the file's own places."""
+    """All meshes of a file that it would render, joined, in the file's own places.
+
+    Normals and shading are the file's; without normals in it, other than in a .blend,
+    meshes are shaded smoothly but for sharp edges.
+    """
     suffix = file.rsplit(".", 1)[-1].lower()
     if suffix == "blend":
         with bpy.data.libraries.load(file) as (there, here):
@@ -107,19 +111,23 @@ def read_mesh(file: str) -> Any:
         for item in here.objects:
             if item is not None and item.name not in bpy.context.scene.objects:
                 bpy.context.scene.collection.objects.link(item)
+    elif suffix in ("glb", "gltf"):  # bones would be drawn as balls
+        bpy.ops.import_scene.gltf(filepath=file, disable_bone_shape=True)
     else:
         readers = {
             "obj": bpy.ops.wm.obj_import,
             "ply": bpy.ops.wm.ply_import,
             "stl": bpy.ops.wm.stl_import,
-            "glb": bpy.ops.import_scene.gltf,
-            "gltf": bpy.ops.import_scene.gltf,
         }
         readers[suffix](filepath=file)
     graph = bpy.context.evaluated_depsgraph_get()
     b = bmesh.new()
-    for item in [o for o in bpy.context.scene.objects if o.type == "MESH"]:
+    for item in bpy.context.scene.objects:
+        if item.type != "MESH" or item.hide_render:
+            continue
         mesh = bpy.data.meshes.new_from_object(item.evaluated_get(graph))
+        if suffix != "blend" and not mesh.has_custom_normals:
+            round_shaded(mesh)
         mesh.transform(item.matrix_world)
         b.from_mesh(mesh)
     for item in list(bpy.data.objects):

@@ -24,10 +24,10 @@ def build(kind: str = "", seed: int = 0, file: str = "") -> Any:
     Args:
         kind: a key of `KINDS`, or "sphere".
         seed: of the shape.
-        file: a mesh file instead.
+        file: a mesh file instead; see `read_mesh`.
 
     Returns:
-        A `bpy` mesh, shaded smoothly but for sharp edges.
+        A `bpy` mesh; those made here are shaded smoothly but for sharp edges.
     """
     if file:
         return read_mesh(file)
