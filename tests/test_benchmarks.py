@@ -213,6 +213,10 @@ def test_rendered_ps_wild_has_masks_lights_and_categories(tmp_path):
         item.lights.directions, data.lights(4, seed=1), atol=1e-6
     )
     assert items["mixed/obj001"].lights is None
+    meta = tmp_path / "mixed" / "obj001.data" / "meta.json"
+    meta.write_text('{"category": "", "shape": "ball"}')
+    tags = by_name(open_benchmark("ps-wild", tmp_path))["mixed/obj001"].tags
+    assert "category" not in tags and tags["shape"] == "ball"
 
 
 def test_ps_wild_test_takes_masks_from_normals_and_the_manifest(tmp_path):

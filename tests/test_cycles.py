@@ -276,6 +276,27 @@ def test_texture_sets_of_one_name_stay_apart(tmp_path):
     found = assets.find_materials(root)
     categories = {name: entry["category"] for name, entry in found.items()}
     assert categories == {"Metal/01": "Metal", "Wood/01": "Wood"}
+    unknown = assets.find_materials(root / "Wood")["01"] | {"category": ""}
+    (job,) = assets.drawn_jobs(1, 0, materials={"01": unknown})
+    assert job.facts == {"shape": "cut", "material": "01"}
+
+
+@pytest.mark.parametrize(
+    "files, maps",
+    [
+        ("a_diff_4k a_rough_4k a_arm_4k", "baseColor packed roughness"),
+        ("A-1K_Color A-1K_Metalness A-1K_NormalGL", "baseColor metal"),
+        ("a_COL_2K a_col a_protocol", "baseColor"),
+        ("a_baseColor a_metallicRoughness", "baseColor packed"),
+        ("a_albedo a_OcclusionRoughnessMetallic", "baseColor packed"),
+        ("rusty_metal_diff rusty_metal_rough_2k", "baseColor roughness"),
+    ],
+)
+def test_maps_are_told_by_their_names(tmp_path, files, maps):
+    for name in files.split():
+        (tmp_path / f"{name}.png").write_bytes(b"")
+    (found,) = assets.find_materials(tmp_path).values()
+    assert sorted(found["maps"]) == maps.split()
 
 
 def test_the_papers_list_is_a_manifest():

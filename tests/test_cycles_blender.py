@@ -260,6 +260,15 @@ def test_meshes_and_textures_of_the_user(blender, tmp_path):
         np.testing.assert_allclose(truth.maps["roughness"][truth.mask], 0.2, atol=1e-3)
         color = truth.maps["baseColor"][truth.mask].mean(0)
         np.testing.assert_allclose(color, [0, 1, 0], atol=1e-3)
+    packed = np.full((8, 8, 3), [204, 102, 0], np.uint8)  # BGR: metal, roughness
+    cv2.imwrite(str(tmp_path / "x_orm.png"), packed)
+    (tmp_path / "x_roughness.png").unlink()
+    maps = assets.find_materials(tmp_path)[tmp_path.name]
+    blender.ask("build", shape=shape, material=maps)
+    blender.ask("place", rotation=[0.9, 0.3, 0.3, 0.1], focal_mm=None)
+    truth = run.read_truth(blender.picture("truth", size=32))
+    np.testing.assert_allclose(truth.maps["roughness"][truth.mask], 0.4, atol=1e-3)
+    np.testing.assert_allclose(truth.maps["metal"][truth.mask], 0.8, atol=1e-3)
     (tmp_path / "bad.obj").write_text("v 0 0 0\n")
     with pytest.raises(BlenderError):
         blender.ask("build", shape={"file": str(tmp_path / "bad.obj")}, material=maps)

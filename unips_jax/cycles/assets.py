@@ -5,6 +5,7 @@ whatever else the set holds.
 """
 
 import csv
+import re
 import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,8 +20,14 @@ CATEGORIES = ("Fabric", "Concrete", "Wood", "Floor", "Ground", "Metal")
 SHAPES = ("cut", "displaced", "knot", "lathe", "extruded", "relief", "pile")
 MESHES = frozenset((".obj", ".ply", ".glb", ".gltf", ".stl", ".blend"))
 PICTURES = frozenset((".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr"))
+# How files' names end, without resolutions. "gold_metal_roughness" is the roughness of
+# a metal, "metalRoughness" both in one picture.
 _MAPS = {
-    "baseColor": ("basecolor", "base_color", "albedo", "diffuse", "color", "colour"),
+    "packed": (
+        *("metallicroughness", "metallic_roughness", "metalroughness"),
+        *("roughnessmetallic", "_orm", "_arm"),
+    ),
+    "baseColor": ("albedo", "diffuse", "_diff", "color", "colour", "_col"),
     "roughness": ("roughness", "rough"),
     "metal": ("metallic", "metalness", "metal"),
 }
@@ -34,7 +41,7 @@ class Job(NamedTuple):
         seed: draws everything of it that is not named here.
         shape: what Blender's `shapes.build` takes.
         material: what Blender's `materials.build` takes.
-        facts: names for `meta.json`: shape, material, category.
+        facts: names for `meta.json`: shape, material, category if there is one.
         facing: whether only its front is of interest (a relief).
         lightings: which lightings it is to have; None for all.
     """
@@ -64,7 +71,7 @@ def find_files(folder: Path, suffixes: frozenset[str], option: str) -> list[Path
 
 
 def find_materials(folder: Path) -> dict[str, dict[str, Any]]:
-    """Texture sets: one folder each, their maps told by the files' names.
+    """Texture sets: one folder each, their maps told by the ends of the files' names.
 
     Args:
         folder: holds them, at any depth.
@@ -79,15 +86,17 @@ def find_materials(folder: Path) -> dict[str, dict[str, Any]]:
     """
     found: dict[str, dict[str, Any]] = {}
     for picture in find_files(folder, PICTURES, "--materials"):
-        stem = picture.stem.lower()
-        for name, words in _MAPS.items():
-            # "metal_basecolor" is a base colour: maps are told by the last word.
-            if any(stem.endswith(word) for word in words):
-                place = picture.parent
-                below = place.relative_to(folder).as_posix()
-                key = place.name if place == folder else below
-                entry = found.setdefault(key, {"category": _category(key, folder.name)})
-                entry.setdefault("maps", {}).setdefault(name, str(picture.resolve()))
+        stem = re.sub(r"[^a-z0-9]+", "_", f"_{picture.stem.lower()}")
+        stem = re.sub(r"_?\d+k$", "", stem)
+        name = next((name for name, ends in _MAPS.items() if stem.endswith(ends)), None)
+        if name is None:
+            continue
+        place = picture.parent
+        below = place.relative_to(folder).as_posix()
+        key = place.name if place == folder else below
+        category = _category(key, folder.name)
+        entry = found.setdefault(key, {"category": category, "maps": {}})
+        entry["maps"].setdefault(name, str(picture.resolve()))
     found = {key: entry for key, entry in found.items() if "baseColor" in entry["maps"]}
     if not found:
         raise InputError(
@@ -136,6 +145,7 @@ def drawn_jobs(
             name = sorted(materials)[int(rng.integers(len(materials)))]
             material = materials[name]
             facts |= {"material": name, "category": material["category"]}
+        facts = {fact: value for fact, value in facts.items() if value}
         facing = not meshes and kind == "relief"
         place = (seed, index, 1)
         jobs.append(Job(f"obj{index:03d}", place, shape, material, facts, facing))

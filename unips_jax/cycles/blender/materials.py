@@ -190,6 +190,7 @@ CATEGORIES: dict[str, Callable[[Graph, Generator], dict[str, Any]]] = {
 def _maps(g: Graph, mesh: Any, files: dict[str, str]) -> dict[str, Any]:
     """The user's pictures: by the mesh's own coordinates, or else from three sides."""
     found: dict[str, Any] = {}
+    packed: dict[str, Any] = {}
     for name, file in files.items():
         picture = bpy.data.images.load(file)
         spaces = {"baseColor": "sRGB"}
@@ -202,8 +203,12 @@ def _maps(g: Graph, mesh: Any, files: dict[str, str]) -> dict[str, Any]:
             node.projection, node.projection_blend = "BOX", 0.3
             where = g.where
         g.tree.links.new(where, node.inputs["Vector"])
-        found[INPUTS[name]] = node.outputs["Color"]
-    return found
+        if name == "packed":
+            parts = g.node("SeparateColor", {"Color": node.outputs["Color"]}).outputs
+            packed = {"Roughness": parts["Green"], "Metallic": parts["Blue"]}
+        else:
+            found[INPUTS[name]] = node.outputs["Color"]
+    return packed | found
 
 
 def build(
@@ -219,7 +224,8 @@ def build(
         mesh: what it is for.
         category: a key of `CATEGORIES`.
         seed: of a procedural material.
-        maps: picture files for some of `baseColor`, `roughness`, `metal` instead.
+        maps: picture files for some of `baseColor`, `roughness`, `metal` instead, or
+            `packed`: roughness in green and metal in blue, as in glTF.
         uniform: values of the Principled BSDF's inputs instead, or `{"diffuse": RGB}`
             for a Lambertian surface.
 

@@ -153,8 +153,8 @@ def manifest() -> tuple[Mapping[str, str], ...]:
 def _materials(folder: Path, position: int, count: int) -> dict[str, str]:
     meta = _meta(folder)
     if meta:
-        keys = ("category", "material", "shape")
-        return {k: meta[k] for k in keys if isinstance(meta.get(k), str)}
+        told = {k: meta.get(k) for k in ("category", "material", "shape")}
+        return {k: v for k, v in told.items() if isinstance(v, str) and v}
     stem = folder.name.lower().replace("_", "-")
     named = [r for r in manifest() if r["object"] in stem and r["material"] in stem]
     # "explosion-blue" is also part of "explosion-blue-1": the longest name is meant.
