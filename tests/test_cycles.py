@@ -1,5 +1,6 @@
 """Sets rendered with Cycles, as far as they need no Blender: a stand-in renders."""
 
+import contextlib
 import json
 import os
 import signal
@@ -7,6 +8,7 @@ import stat
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -14,10 +16,12 @@ import numpy as np
 import pytest
 
 from unips_jax import render
+from unips_jax.claims import claim
 from unips_jax.command import InputError
 from unips_jax.cycles import assets, blender_process, lighting, run
 from unips_jax.cycles.blender import framing
 from unips_jax.cycles.environments import draw_environment, mean_radiance
+from unips_jax.data.sources import PSWildFolders
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest, PSWildTrain
 
 # Answers like blender/worker.py with a sphere; misbehaves for some shapes.
@@ -117,6 +121,16 @@ def test_training_sets_have_the_training_names(stand_in, tmp_path):
     assert render.main(every) == 0
     assert (out / "near" / "obj000.data" / "00.tif").is_file()
     assert len(PSWildTrain(out)) == 1
+    more = tmp_path / "more"
+    settings = run.Settings(("near",), images=12, size=24, training=True)
+    with blender_process.Blender(stand_in) as blender:
+        assert not run.render_set(blender, assets.drawn_jobs(1, 5), settings, more)
+    names = [f"{number:03d}.tif" for number in range(12)]
+    for entry in (
+        PSWildTrain(more).entries[0].images,
+        PSWildFolders(more, min_images=12)[0].photographs,
+    ):
+        assert [path.name for path in entry] == names
     assert cv2.imread(str(tmp_path / "s.png")).shape == (3 * 128, 128, 3)
 
 
@@ -127,15 +141,15 @@ def test_failures_are_recorded_and_the_rest_is_rendered(
     monkeypatch.setenv("FAIL", "1")
     jobs = assets.drawn_jobs(4, 5)  # cut, displaced, knot, lathe
     with blender_process.Blender(stand_in) as blender:
-        with pytest.raises(InputError, match="2 of 4 objects .*obj000, obj002"):
-            run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
+        failed = run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
+    assert failed == ["obj000", "obj002"]
     said = {p.name: p.read_text() for p in (tmp_path / "set" / "failures").iterdir()}
     assert "no faces" in said["obj000.txt"] and "died at 'build'" in said["obj002.txt"]
     assert len(list((tmp_path / "set" / "near").parent.glob("*/*.data"))) == 6
     monkeypatch.delenv("CRASH")
     monkeypatch.delenv("FAIL")
     with blender_process.Blender(stand_in) as blender:
-        run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
+        assert not run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
     assert not any((tmp_path / "set" / "failures").iterdir())
     assert len(list((tmp_path / "set").glob("*/*.data"))) == 12
 
@@ -154,11 +168,16 @@ def test_a_bad_environment_costs_one_lighting(stand_in, tmp_path, capsys):
     (around / "sky.hdr").write_bytes(b"not a picture")
     command = ["--engine", "cycles", "-o", str(tmp_path / "set"), "--objects", "2"]
     more = ["--size", "24", "--images", "1", "--environments", str(around)]
-    assert render.main([*command, *more]) == 2
+    lit = ["--lightings", "environment", "directional", "near"]
+    sheet = tmp_path / "sheet.png"
+    assert render.main([*command, *more, *lit, "--sheet", str(sheet)]) == 2
     assert "2 of 2 objects could not be rendered" in capsys.readouterr().err
     failures = tmp_path / "set" / "failures"
-    assert "sky.hdr" in (failures / "obj000.txt").read_text()
-    assert len(list((tmp_path / "set" / "directional").glob("*.data"))) == 2
+    said = (failures / "obj000.txt").read_text()
+    assert said.startswith("environment: ") and "sky.hdr" in said
+    for place in ("directional", "near"):
+        assert len(list((tmp_path / "set" / place).glob("*.data"))) == 2
+    assert cv2.imread(str(sheet)).shape == (5 * 128, 2 * 128, 3)
 
 
 def test_killed_runs_go_on_and_end_with_the_same_bytes(stand_in, tmp_path):
@@ -183,12 +202,68 @@ def test_killed_runs_go_on_and_end_with_the_same_bytes(stand_in, tmp_path):
     assert contents(out) == contents(tmp_path / "whole")
 
 
+def test_what_another_process_renders_is_waited_for(stand_in, tmp_path):
+    command = ["--engine", "cycles", "-o", str(tmp_path / "set"), "--objects", "2"]
+    command += ["--images", "1", "--size", "24", "--lightings", "near"]
+    with contextlib.ExitStack() as held, ThreadPoolExecutor() as pool:
+        (tmp_path / "set" / ".locks").mkdir(parents=True)
+        held.enter_context(claim(tmp_path / "set" / ".locks" / "obj000"))
+        status = pool.submit(render.main, command)
+        while not list(tmp_path.glob("set/near/obj001.data")):
+            assert not status.done()
+            time.sleep(0.01)
+        with pytest.raises(TimeoutError):
+            status.result(timeout=0.5)
+        held.close()  # as if it had been killed
+        assert status.result(timeout=60) == 0
+    assert len(list(tmp_path.glob("set/near/*.data"))) == 2
+
+
 def test_other_settings_are_refused(stand_in, tmp_path, capsys):
     command = ["--engine", "cycles", "-o", str(tmp_path / "s"), "--objects", "1"]
     assert render.main([*command, "--size", "24", "--images", "1"]) == 0
     assert render.main([*command, "--size", "32", "--images", "1"]) == 2
     said = capsys.readouterr().err
     assert "begun with other settings" in said and "'size': (24, 32)" in said
+
+
+def test_other_files_are_refused(stand_in, tmp_path, capsys):
+    out = tmp_path / "set"
+    command = ["--engine", "cycles", "-o", str(out), "--objects", "1", "--size", "24"]
+    command += ["--images", "1"]
+    assert render.main(command) == 0
+    before = json.loads((out / "settings.json").read_text())
+    assert "files" not in before and not any(k.startswith("--") for k in before)
+
+    around, maps = tmp_path / "around", tmp_path / "maps"
+    around.mkdir()
+    cv2.imwrite(str(around / "a.hdr"), np.ones((8, 16, 3), np.float32))
+    maps.mkdir()
+    cv2.imwrite(str(maps / "a_color.png"), np.ones((8, 8, 3), np.uint8))
+    listed = tmp_path / "list.csv"
+    listed.write_text("object,material,category\na,b,Wood\nc,d,Wood\n")
+    given = ["--environments", str(around), "--materials", str(maps)]
+    given += ["--manifest", str(listed)]
+    assert render.main([*command, *given]) == 2
+    assert "'--environments a.hdr': (None, " in capsys.readouterr().err
+    command[3] = str(tmp_path / "other")
+    assert render.main([*command, *given]) == 0
+    assert len(list((tmp_path / "other").glob("*/*.data"))) == 3  # --objects 1
+    assert render.main([*command, *given]) == 0
+    cv2.imwrite(str(around / "a.hdr"), np.ones((16, 16, 3), np.float32))
+    cv2.imwrite(str(maps / "a_roughness.png"), np.ones((8, 8, 3), np.uint8))
+    listed.write_text("object,material,category\na,b,Metal\nc,d,Wood\n")
+    assert render.main([*command, *given]) == 2
+    said = capsys.readouterr().err
+    for name in ("--environments a.hdr", "--materials maps/a_rough", "--manifest"):
+        assert f"'{name}" in said
+    assert said.count("\n") == 1 and "a_color" not in said
+
+
+def test_our_scenes_do_not_become_a_set_of_cycles(stand_in, tmp_path, capsys):
+    (tmp_path / "directional" / "obj000.data").mkdir(parents=True)
+    assert render.main(["--engine", "cycles", "-o", str(tmp_path)]) == 2
+    assert "found objects without settings.json" in capsys.readouterr().err
 
 
 def test_without_blender_it_says_how_to_get_it(monkeypatch, tmp_path, capsys):
@@ -329,6 +404,8 @@ def test_bad_manifests_are_named(tmp_path, text, message):
     "arguments, message",
     [
         (["--size", "0"], "--size: expected at least 1, got 0"),
+        (["--seed", "-1"], "--seed: expected at least 0, got -1"),
+        (["-o", "file"], "-o file: cannot be a folder"),
         (["--sheet", "a.gif"], "--sheet: expected a file ending in .png"),
         (["--perspective", "2"], "--perspective: expected 0 to 1"),
         (["--meshes", "."], "--meshes .: expected files .blend"),
@@ -337,6 +414,7 @@ def test_bad_manifests_are_named(tmp_path, text, message):
 )
 def test_bad_arguments_are_named(monkeypatch, tmp_path, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
     assert render.main(["--engine", "cycles", "-o", "x", *arguments]) == 2
     assert message in capsys.readouterr().err
 

@@ -2,8 +2,11 @@
 
 import contextlib
 import fcntl
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import TypeVar
+
+_T = TypeVar("_T")
 
 
 @contextlib.contextmanager
@@ -24,3 +27,22 @@ def claim(lock: Path, *, wait: bool = False) -> Iterator[bool]:
             yield False
             return
         yield True
+
+
+def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:
+    """Yields every item while it is ours; what others have comes last, once they end.
+
+    Args:
+        items: pieces of work.
+        lock: gives the file that stands for one; see `claim`.
+    """
+    others = []
+    for item in items:
+        with claim(lock(item)) as ours:
+            if ours:
+                yield item
+            else:
+                others.append(item)
+    for item in others:
+        with claim(lock(item), wait=True):
+            yield item

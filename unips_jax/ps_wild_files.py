@@ -34,6 +34,18 @@ def check_picture_name(path: Path, option: str) -> None:
         )
 
 
+def make_root(path: Path) -> None:
+    """Makes the folder that `-o` names.
+
+    Raises:
+        InputError: if it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o {path}: cannot be a folder ({error.strerror})") from None
+
+
 def write_picture(path: Path, pixels: np.ndarray) -> None:
     """Writes RGB or grey pixels; the suffix chooses the format."""
     if pixels.ndim == 3:
@@ -77,6 +89,8 @@ def write_folder(
 ) -> None:
     """Writes one object; the folder appears only when it is complete.
 
+    The caller has claimed it: what a killed process left of it is removed.
+
     Args:
         folder: `X.data`, must not exist.
         images: `[H, W, 3]` each, linear, 1 becomes 65535.
@@ -89,6 +103,8 @@ def write_folder(
         name: of the images' files, by number.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
+    for leftover in folder.parent.glob(f".{folder.name}.*"):
+        shutil.rmtree(leftover)
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         for index, image in enumerate(images):

@@ -61,7 +61,8 @@ def find_files(folder: Path, suffixes: frozenset[str], option: str) -> list[Path
     Raises:
         InputError: if there are none.
     """
-    found = sorted(p for p in folder.rglob("*") if p.suffix.lower() in suffixes)
+    below = (p for p in folder.rglob("*") if p.suffix.lower() in suffixes)
+    found = sorted(p for p in below if p.is_file())
     if not found:
         raise InputError(
             f"{option} {folder}: expected files {', '.join(sorted(suffixes))}, "

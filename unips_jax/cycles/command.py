@@ -4,10 +4,12 @@ Follows the paper (UniPS, CVPR 2022, Sec. 5): one object, one material and one
 environment per scene; rotations redrawn until the normals' entropy exceeds 4 bits; the
 outline reaches the frame; Principled BSDF; path tracing with up to 10 bounces and 256
 samples, no tone mapping; 16-bit linear images. Stop it whenever you like: started
-again, or several times at once, it only does what is left.
+again, or several times at once, it only does what is left. The meshes, materials,
+environments and manifest of a set must stay the same.
 """
 
 import argparse
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from unips_jax.cycles import assets
 from unips_jax.cycles.blender_process import Blender, find_python
 from unips_jax.cycles.lighting import LIGHTINGS
 from unips_jax.cycles.run import Settings, render_set
-from unips_jax.ps_wild_files import check_picture_name, write_picture
+from unips_jax.ps_wild_files import check_picture_name, make_root, write_picture
 
 PRESETS: dict[str, dict[str, Any]] = {
     "train": {"images": 10, "training": True},
@@ -46,7 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("-o", "--output", type=Path, required=True, help="the set's folder")
     add("--preset", choices=sorted(PRESETS), default="test", help="(test)")
-    add("--objects", type=int, help="(6)")
+    add("--objects", type=int, help="(6, or all of the manifest)")
     add("--images", type=int, help="per object and lighting (of the preset)")
     add("--lightings", nargs="+", choices=LIGHTINGS, help="(all but near)")
     add("--size", type=int, help="in pixels (512)")
@@ -63,13 +65,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _environments(given: str | None, blender: Blender) -> tuple[str, ...]:
-    if given is None:
-        return ()
-    if given == "blender":
-        return tuple(blender.ask("environments"))
-    found = assets.find_files(Path(given), _ENVIRONMENTS, "--environments")
-    return tuple(str(path.resolve()) for path in found)
+def _sizes(option: str, folder: Path, found: list[Path]) -> dict[str, int]:
+    """What tells the files of a folder from others, without reading them."""
+    return {
+        f"{option} {path.relative_to(folder).as_posix()}": path.stat().st_size
+        for path in found
+    }
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -85,31 +86,53 @@ def main(argv: Sequence[str] | None = None) -> None:
     preset = PRESETS[given.pop("preset")]
     chosen: dict[str, Any] = {"objects": 6, "seed": 0, "environments": None, **preset}
     chosen |= {name: value for name, value in given.items() if value is not None}
-    for name in ("objects", "images", "size", "samples"):
-        if chosen.get(name, 1) < 1:
-            raise InputError(f"--{name}: expected at least 1, got {chosen[name]}")
+    least = {"objects": 1, "images": 1, "size": 1, "samples": 1, "seed": 0}
+    for name, value in least.items():
+        if chosen.get(name, value) < value:
+            raise InputError(f"--{name}: expected at least {value}, got {chosen[name]}")
     if not 0 <= chosen.get("perspective", 0) <= 1:
         raise InputError(f"--perspective: expected 0 to 1, got {chosen['perspective']}")
     meshes, materials = chosen.pop("meshes", None), chosen.pop("materials", None)
+    files: dict[str, int] = {}
     if meshes is not None:
-        meshes = assets.find_files(meshes, assets.MESHES, "--meshes")
+        folder, meshes = meshes, assets.find_files(meshes, assets.MESHES, "--meshes")
+        files |= _sizes("--meshes", folder, meshes)
     if materials is not None:
         materials = assets.find_materials(materials)
+        for name, entry in materials.items():
+            for path in map(Path, entry["maps"].values()):
+                files[f"--materials {name}/{path.name}"] = path.stat().st_size
+    around = chosen["environments"]
+    if around not in (None, "blender"):
+        found = assets.find_files(Path(around), _ENVIRONMENTS, "--environments")
+        files |= _sizes("--environments", Path(around), found)
+        chosen["environments"] = tuple(str(path.resolve()) for path in found)
     count, manifest = chosen.pop("objects"), chosen.pop("manifest", None)
     if manifest is None:
         jobs = assets.drawn_jobs(count, chosen["seed"], meshes, materials)
     else:
         jobs = assets.manifest_jobs(manifest, chosen["seed"], meshes, materials)
+        jobs = jobs[: given["objects"]]
+        files["--manifest"] = zlib.crc32(manifest.read_bytes())
     if "lightings" in chosen:
         chosen["lightings"] = tuple(chosen["lightings"])
+    make_root(out)
     with Blender(find_python(), threads=chosen.pop("threads")) as blender:
-        chosen["environments"] = _environments(chosen["environments"], blender)
-        settings = Settings(**chosen)
-        render_set(blender, jobs, settings, out)
-    print(f"wrote {out}")
-    if sheet is not None:
+        if around is None:
+            chosen["environments"] = ()
+        if around == "blender":
+            chosen["environments"] = tuple(blender.ask("environments"))
+        failed = render_set(blender, jobs, Settings(**chosen, files=files), out)
+    if sheet is not None and any(out.glob("*/*.data")):
         write_picture(sheet, contact_sheet(out))
         print(f"wrote {sheet}")
+    if failed:
+        raise InputError(
+            f"{len(failed)} of {len(jobs)} objects could not be rendered, or not under "
+            f"every lighting ({', '.join(failed[:5])}): see {out / 'failures'}; the "
+            "others are complete"
+        )
+    print(f"wrote {out}")
 
 
 def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import shutil
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from unips_jax.claims import claim
+from unips_jax.claims import claim, claimed
 from unips_jax.command import InputError, track
 from unips_jax.cycles.assets import Job
 from unips_jax.cycles.blender_process import Blender, BlenderError
@@ -36,9 +35,11 @@ class Settings:
         denoise: with Open Image Denoise.
         perspective: share of objects seen in perspective, 35 mm to 200 mm equivalents.
         min_entropy_bits: of the normals; see `scenes.geometry.normal_entropy_bits`.
-        training: files as in PS-Wild's training set, `00.tif`, instead of `L_00.png`.
+        training: files as in PS-Wild's training set, `00.tif` (`000.tif` of more than
+            10), instead of `L_00.png`.
         environments: files; drawn ones if empty.
         seed: of the set.
+        files: of the user, by option and name: size or digest. Only recorded.
     """
 
     lightings: tuple[str, ...] = ("directional", "environment", "mixed")
@@ -51,6 +52,7 @@ class Settings:
     training: bool = False
     environments: tuple[str, ...] = ()
     seed: int = 0
+    files: dict[str, int] = dataclasses.field(default_factory=dict)
 
 
 class Truth(NamedTuple):
@@ -227,21 +229,26 @@ def render_object(
         blender: renders.
         job: the object.
         settings: how.
-        folders: by lighting; those that exist are left alone.
+        folders: by lighting; must not exist.
 
     Raises:
         BlenderError: if the object cannot be rendered.
+        InputError: at the end, if an environment cannot be read.
     """
     facts = {**job.facts, "seed": list(job.seed), "engine": "cycles"}
     facts["versions"] = blender.ask("version")
     facts |= pose(blender, job, settings, np.random.default_rng(job.seed))
     truth = read_truth(blender.picture("truth", size=settings.size))
+    name = "L_{:02d}.png"
+    if settings.training:  # they begin with "0", however many
+        name = f"0{{:0{len(str(settings.images - 1))}d}}.tif"
+    unlit = []
     for lighting, folder in folders.items():
-        if folder.exists():
+        try:
+            photographs = _Photographs(blender, job, lighting, settings)
+        except InputError as error:
+            unlit.append(f"{lighting}: {error}")
             continue
-        for leftover in folder.parent.glob(f".{folder.name}.*"):
-            shutil.rmtree(leftover)  # of a run that was killed: the claim is ours
-        photographs = _Photographs(blender, job, lighting, settings)
         images = list(photographs.render(truth.mask))
         told = {k: getattr(settings, k) for k in ("size", "samples", "denoise")}
         write_folder(
@@ -252,13 +259,15 @@ def render_object(
             {**facts, "light": lighting, **told, **photographs.told()},
             maps=truth.maps,
             depth=truth.depth,
-            name="{:02d}.tif" if settings.training else "L_{:02d}.png",
+            name=name,
         )
+    if unlit:
+        raise InputError("; ".join(unlit))
 
 
 def render_set(
     blender: Blender, jobs: Sequence[Job], settings: Settings, out: Path
-) -> None:
+) -> list[str]:
     """Renders what is missing of a set; several processes may share the work.
 
     Args:
@@ -268,8 +277,11 @@ def render_set(
         out: the set's root; receives `LIGHTING/NAME.data`, and `failures/NAME.txt`
             for objects that could not be rendered.
 
+    Returns:
+        Names of such objects; the others are complete, also those of other processes.
+
     Raises:
-        InputError: at the end, if there were such objects.
+        InputError: if `out` is a set rendered otherwise.
     """
     locks, failures = out / ".locks", out / "failures"
     locks.mkdir(parents=True, exist_ok=True)
@@ -277,32 +289,40 @@ def render_set(
         **dataclasses.asdict(settings),
         "environments": len(settings.environments),
     }
+    record |= record.pop("files")
     with claim(locks / ".settings", wait=True):
         _same_settings(out / "settings.json", record)
-    failed = []
-    for job in track(jobs, "rendering"):
+
+    def missing(job: Job) -> dict[str, Path]:
         chosen = job.lightings or settings.lightings
         folders = {name: out / name / f"{job.name}.data" for name in chosen}
-        with claim(locks / job.name) as ours:
-            if not ours or all(folder.exists() for folder in folders.values()):
-                continue
-            try:
-                render_object(blender, job, settings, folders)
-                (failures / f"{job.name}.txt").unlink(missing_ok=True)
-            except (BlenderError, InputError) as error:  # InputError: an environment
-                failures.mkdir(exist_ok=True)
-                (failures / f"{job.name}.txt").write_text(f"{error}\n")
-                print(f"{job.name}: left out: {error}", file=sys.stderr)
-                failed.append(job.name)
-    if failed:
-        raise InputError(
-            f"{len(failed)} of {len(jobs)} objects could not be rendered "
-            f"({', '.join(failed[:5])}): see {failures}; the others are complete"
-        )
+        return {name: folder for name, folder in folders.items() if not folder.exists()}
+
+    left = [job for job in jobs if missing(job)]
+    failed = []
+    ours = claimed(left, lambda job: locks / job.name)
+    for job in track(ours, "rendering", total=len(left)):
+        folders = missing(job)
+        if not folders:  # another process was faster
+            continue
+        try:
+            render_object(blender, job, settings, folders)
+            (failures / f"{job.name}.txt").unlink(missing_ok=True)
+        except (BlenderError, InputError) as error:
+            failures.mkdir(exist_ok=True)
+            (failures / f"{job.name}.txt").write_text(f"{error}\n")
+            print(f"{job.name}: left out: {error}", file=sys.stderr)
+            failed.append(job.name)
+    return failed
 
 
 def _same_settings(path: Path, record: dict[str, Any]) -> None:
     """Refuses to go on with a set in another way than it was begun."""
+    if not path.exists() and any(path.parent.glob("*/*.data")):
+        raise InputError(
+            f"{path.parent}: expected a new folder or a set of Cycles, found objects "
+            f"without {path.name}; take another folder"
+        )
     record = json.loads(json.dumps(record))
     if not path.exists():
         beside = path.with_suffix(".partial")
@@ -316,7 +336,9 @@ def _same_settings(path: Path, record: dict[str, Any]) -> None:
         if before.get(name) != record.get(name)
     }
     if changed:
+        first = dict(list(changed.items())[:5])
+        more = f" and {len(changed) - 5} more" if len(changed) > 5 else ""
         raise InputError(
-            f"{path}: the set was begun with other settings (before, now): {changed}; "
-            "take another folder, or the same settings"
+            f"{path}: the set was begun with other settings (before, now): {first}"
+            f"{more}; take another folder, or the same settings"
         )
