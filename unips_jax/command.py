@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import math
 import os
 import sys
 import time
@@ -82,7 +83,10 @@ def progress(description: str) -> Iterator[Callable[[int, int], None]]:
         from rich.console import Console
         from rich.progress import Progress
 
-        with Progress(console=Console(stderr=True), transient=True) as bar:
+        # The pace is that of the whole run: one item may take minutes.
+        with Progress(
+            console=Console(stderr=True), transient=True, speed_estimate_period=math.inf
+        ) as bar:
             task = bar.add_task(description, total=None)
             yield lambda done, total: bar.update(task, completed=done, total=total)
         return
@@ -112,7 +116,8 @@ def track(
     """Yields the items, showing `progress`.
 
     Args:
-        items: what to go through.
+        items: what to go through, without what an earlier run did, so that the pace is
+            true.
         description: a few words for what is being done.
         total: number of items, where `items` has no length.
     """

@@ -80,7 +80,8 @@ def _check_workdir(workdir: Path, benchmark: Benchmark) -> None:
 
 def _evaluate(plan: runner.Plan, store: Store, *, pictures: bool) -> None:
     tasks = runner.tasks_of(plan)
-    for _ in track(runner.execute(plan, tasks, store), "evaluating", total=len(tasks)):
+    left = [task for task in tasks if not store.done(task.name)]
+    for _ in track(runner.execute(plan, left, store), "evaluating", total=len(left)):
         pass
     results = summary.Results(
         plan.benchmark.name,
