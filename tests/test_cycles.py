@@ -148,8 +148,13 @@ def test_failures_are_recorded_and_the_rest_is_rendered(
     assert len(list((tmp_path / "set" / "near").parent.glob("*/*.data"))) == 6
     monkeypatch.delenv("CRASH")
     monkeypatch.delenv("FAIL")
+    monkeypatch.setattr(
+        run, "track", lambda items, _, *, total: totals.append(total) or items
+    )
+    totals = []
     with blender_process.Blender(stand_in) as blender:
         assert not run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
+    assert totals == [2]  # what is there does not count as progress
     assert not any((tmp_path / "set" / "failures").iterdir())
     assert len(list((tmp_path / "set").glob("*/*.data"))) == 12
 

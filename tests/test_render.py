@@ -1,10 +1,13 @@
 import json
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
 import pytest
 
 from unips_jax import render
+from unips_jax.claims import claim
 from unips_jax.ps_wild_files import write_folder
 from unips_jax.scenes import Scene
 
@@ -87,11 +90,50 @@ def test_the_sheet_has_a_tile_per_scene(scene):
         (["-o", "x", "--size", "30"], "multiple of 4, got 30"),
         (["-o", "x", "--objects", "0"], "--objects: expected at least 1"),
         (["--sheet", "x.txt"], "--sheet: expected a file ending"),
+        (["-o", "file"], "-o file: cannot be a folder"),
     ],
 )
-def test_bad_arguments_are_named(capsys, arguments, message):
+def test_bad_arguments_are_named(monkeypatch, tmp_path, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
     assert render.main(arguments) == 2
     assert message in capsys.readouterr().err
+
+
+def _stand_in(monkeypatch, scene):
+    """Renders the scene, always the same."""
+    batch = Scene(*(np.asarray(leaf)[None] for leaf in scene))
+    monkeypatch.setattr(render, "render_batch", lambda *_, **__: batch)
+
+
+def test_trees_are_kept_unless_of_other_code(monkeypatch, tmp_path, capsys, scene):
+    _stand_in(monkeypatch, scene)
+    arguments = ["-o", str(tmp_path), "--objects", "1", "--images", "2"]
+    totals = []
+    monkeypatch.setattr(
+        render, "track", lambda items, _, *, total: totals.append(total) or items
+    )
+    assert render.main(arguments) == 0 and render.main(arguments) == 0
+    assert totals == [3, 0]  # what is there does not count as progress
+    monkeypatch.setattr(render, "code_hash", lambda *_: "other")
+    assert render.main(arguments) == 2
+    assert "expected scenes of this version" in capsys.readouterr().err
+
+
+def test_several_processes_share_a_tree(monkeypatch, tmp_path, scene):
+    _stand_in(monkeypatch, scene)
+    leftover = tmp_path / "mixed" / ".obj001.data.killed"
+    leftover.mkdir(parents=True)
+    (tmp_path / ".locks").mkdir()
+    arguments = ["-o", str(tmp_path), "--objects", "2", "--images", "2"]
+    with ThreadPoolExecutor() as pool:
+        with claim(tmp_path / ".locks" / "directional-000"):
+            others = [pool.submit(render.main, arguments) for _ in range(2)]
+            while len(list(tmp_path.glob("*/*.data"))) < 5:
+                time.sleep(0.01)
+            assert not any(status.done() for status in others)
+        assert [status.result(timeout=60) for status in others] == [0, 0]
+    assert len(list(tmp_path.glob("*/*.data"))) == 6 and not leftover.exists()
 
 
 @pytest.mark.slow
@@ -99,7 +141,7 @@ def test_trees_are_reproducible_and_kept(tmp_path, capsys):
     arguments = ["--objects", "2", "--images", "2", "--size", "32", "--seed", "4"]
     assert render.main(["-o", str(tmp_path / "a"), *arguments]) == 0
     assert render.main(["-o", str(tmp_path / "b"), *arguments]) == 0
-    first = sorted(path for path in (tmp_path / "a").rglob("*") if path.is_file())
+    first = sorted((tmp_path / "a").glob("*/*/*"))
     assert len(first) == 2 * 3 * 5
     for path in first:
         twin = tmp_path / "b" / path.relative_to(tmp_path / "a")

@@ -16,8 +16,15 @@ from typing import Any
 import jax
 import numpy as np
 
+from unips_jax.claims import claimed
 from unips_jax.command import InputError, command, track
-from unips_jax.ps_wild_files import check_picture_name, write_folder, write_picture
+from unips_jax.evaluation.store import code_hash
+from unips_jax.ps_wild_files import (
+    check_picture_name,
+    make_root,
+    write_folder,
+    write_picture,
+)
 from unips_jax.scenes import (
     LIGHT_KINDS,
     MATERIALS,
@@ -60,7 +67,8 @@ def render_folders(
 ) -> None:
     """Writes `out/LIGHTING/objNNN.data` for every object and lighting.
 
-    Object K of a seed is always the same; folders that exist are kept.
+    Object K of a seed is always the same; folders that exist are kept. Several
+    processes may share the work.
 
     Args:
         out: the tree's root.
@@ -70,13 +78,21 @@ def render_folders(
         seed: of the whole tree.
 
     Raises:
-        InputError: if a folder is there that was rendered otherwise.
+        InputError: if a folder is there that was rendered otherwise, or by other code.
     """
-    jobs = [(index, name) for index in range(objects) for name in LIGHTINGS]
-    for index, name in track(jobs, "rendering"):
-        folder = out / name / f"obj{index:03d}.data"
-        if folder.exists():
-            _check_same(folder, seed=seed, size=size, images=images)
+    options = {"seed": seed, "size": size, "images": images}
+    locks = out / ".locks"
+    locks.mkdir(parents=True, exist_ok=True)
+    folders = {
+        (index, name): out / name / f"obj{index:03d}.data"
+        for index in range(objects)
+        for name in LIGHTINGS
+    }
+    left = [job for job, folder in folders.items() if not _is_there(folder, options)]
+    ours = claimed(left, lambda job: locks / f"{job[1]}-{job[0]:03d}")
+    for index, name in track(ours, "rendering", total=len(left)):
+        folder = folders[index, name]
+        if _is_there(folder, options):  # another process was faster
             continue
         key = jax.random.fold_in(jax.random.key(seed), index)
         batch = render_batch(
@@ -88,22 +104,31 @@ def render_folders(
         )
         scene = jax.tree.map(lambda leaf: leaf[0], batch)
         facts = {"seed": seed, "object": index, "size": size, **describe(scene)}
+        facts["code"] = code_hash("scenes")
         photographs, mask, normals = map(
             np.asarray, (scene.images, scene.mask, scene.normals)
         )
         write_folder(folder, photographs, mask, normals, facts)
 
 
-def _check_same(folder: Path, **expected: int) -> None:
-    """Refuses to keep a folder of another seed, size or number of photographs."""
+def _is_there(folder: Path, options: dict[str, int]) -> bool:
+    """Refuses a folder of another seed, size, number of photographs or code."""
+    if not folder.exists():
+        return False
     facts = json.loads((folder / "meta.json").read_text())
     facts["images"] = len(list(folder.glob("L_*")))
-    found = {name: facts.get(name) for name in expected}
-    if found != expected:
+    found = {name: facts.get(name) for name in options}
+    if found != options:
         raise InputError(
-            f"{folder}: expected a folder of {expected}, got one of {found}; choose "
+            f"{folder}: expected a folder of {options}, got one of {found}; choose "
             "another -o, or the same options"
         )
+    if facts.get("code") != code_hash("scenes"):
+        raise InputError(
+            f"{folder}: expected scenes of this version of unips_jax, got those of "
+            "another; choose another -o"
+        )
+    return True
 
 
 def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:
@@ -176,6 +201,8 @@ def _main(argv: Sequence[str] | None = None) -> None:
             raise InputError(
                 f"--{name}: expected at least 1, got {getattr(options, name)}"
             )
+    if options.output is not None:
+        make_root(options.output)
     if options.sheet is not None:
         check_picture_name(options.sheet, "--sheet")
         render_sheet(options.sheet, size=options.size, seed=options.seed)
