@@ -1,6 +1,7 @@
-"""The tools: converter, benchmark, training of GCNet."""
+"""The tools: converter, benchmark, Blender's setup, training of GCNet."""
 
 import runpy
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -91,6 +92,15 @@ def test_benchmark_knows_the_unit_of_memory(platform, unit, monkeypatch, tmp_pat
     monkeypatch.setattr(names["resource"], "getrusage", lambda _: usage)
     monkeypatch.setattr("sys.platform", platform)
     assert peak() == 3
+
+
+def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys):
+    main = runpy.run_path(str(TOOLS / "render_cycles.py"))["main"]
+    given = ["--setup", str(tmp_path / "bpy"), "--python", "python3.0"]
+    monkeypatch.setattr(sys, "argv", ["render_cycles.py", *given])
+    assert main() == 2
+    assert "found no python3.0" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1. The second is the sam
 """
 
 import argparse
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -42,6 +43,13 @@ def main() -> int:
     arguments, rest = parser.parse_known_args()
     if arguments.setup is None:
         return render.main(["--engine", "cycles", *rest])
+    if shutil.which(arguments.python) is None:
+        print(
+            f"error: --python: expected a Python 3.11, found no {arguments.python}; "
+            "install it, or say where one is",
+            file=sys.stderr,
+        )
+        return 2
     set_up(arguments.setup, arguments.python)
     return 0
 
