@@ -28,6 +28,7 @@ def get_config() -> Config:
             drop_path_rate=0.1,
             context_dim=128,
             pool_scales=(1, 2, 3),
+            linear_pooling=True,
             aggregation_layers=3,
             hidden_dim=256,
             aggregation_heads=8,

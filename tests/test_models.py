@@ -159,6 +159,22 @@ def test_observations_begin_as_the_identity_and_change_the_result():
     assert abs(changed - expected).max() > 1e-3
 
 
+@pytest.mark.parametrize("linear", [False, True])
+def test_linear_pooling_cannot_cut_off_the_coarsest_stage(linear):
+    network, params, arguments = make(
+        dataclasses.replace(SHALLOW, linear_pooling=linear)
+    )
+    bottleneck = params["encoder"]["fusion"]["ppm_bottleneck"]
+    bottleneck |= {"kernel": bottleneck["kernel"] * 1e-3, "bias": jnp.full(8, -0.1)}
+
+    def loss(params):
+        return network.apply({"params": params}, *arguments)[..., 0].sum()
+
+    gradient = jax.jit(jax.grad(loss))(params)["encoder"]["stages_1"]
+    reached = [bool(jnp.any(leaf != 0)) for leaf in jax.tree.leaves(gradient)]
+    assert all(reached) if linear else not any(reached)
+
+
 def test_dropout_acts_in_training_only():
     config = dataclasses.replace(SMALL, dropout_rate=0.5, drop_path_rate=0.5)
     network, params, arguments = make(config)

@@ -48,7 +48,9 @@ class Encoder(nn.Module):
         self.stages = [SwinStage(config, stage, dtype) for stage in stages]
         self.norms = [layer_norm(dtype) for _ in stages]
         self.mergings = [PatchMerging(dtype) for _ in stages[1:]]
-        self.fusion = UPerNet(config.context_dim, config.pool_scales, dtype)
+        self.fusion = UPerNet(
+            config.context_dim, config.pool_scales, config.linear_pooling, dtype
+        )
         if config.communication in ("pre", "during"):
             dims = [config.stage_dim(stage) for stage in stages]
         else:

@@ -21,11 +21,13 @@ class UPerNet(nn.Module):
     Attributes:
         features: width of every convolution.
         pool_scales: bins per side of the pyramid pooling module (PPM).
+        linear_pooling: no ReLU after it.
         dtype: compute type.
     """
 
     features: int
     pool_scales: tuple[int, ...]
+    linear_pooling: bool = False
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
@@ -58,9 +60,11 @@ class UPerNet(nn.Module):
         for i, bins in enumerate(self.pool_scales):
             level = self._conv(1, f"ppm{i}")(ops.adaptive_average_pool(x, bins))
             pooled.append(ops.resize_bilinear(level, x.shape[1:3]))
-        return self._conv(3, "ppm_bottleneck")(jnp.concatenate(pooled, axis=-1))
+        relu = not self.linear_pooling
+        bottleneck = self._conv(3, "ppm_bottleneck", relu=relu)
+        return bottleneck(jnp.concatenate(pooled, axis=-1))
 
-    def _conv(self, size: int, name: str):
+    def _conv(self, size: int, name: str, *, relu: bool = True):
         conv = nn.Conv(
             self.features,
             (size, size),
@@ -70,4 +74,4 @@ class UPerNet(nn.Module):
             conv_general_dilated=ops.convolution,
             name=name,
         )
-        return lambda x: nn.relu(conv(x))
+        return (lambda x: nn.relu(conv(x))) if relu else conv
