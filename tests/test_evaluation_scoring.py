@@ -242,8 +242,9 @@ def imported(module):
             continue
         found.add(file)
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                names = [node.module, *(f"{node.module}.{a.name}" for a in node.names)]
+            module = getattr(node, "module", None) or ""
+            if isinstance(node, ast.ImportFrom) and module.startswith("unips_jax"):
+                names = [module, *(f"{module}.{a.name}" for a in node.names)]
                 paths = (PACKAGE.parent / f"{n.replace('.', '/')}.py" for n in names)
                 left += [path for path in paths if path.is_file()]
     return {path.relative_to(PACKAGE).as_posix() for path in found}
