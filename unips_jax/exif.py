@@ -77,22 +77,25 @@ def _blocks(data: mmap.mmap) -> Iterator[bytes | mmap.mmap]:
         if marker == 0xE1 and data[start : start + 6] == _EXIF_START:
             yield data[start + 6 : end]
     if data[:8] == PNG_START:
-        yield from _chunks(data, 8, b"eXIf", ">I4s", 4)
+        yield from _chunks(data, 8, b"eXIf", png=True)
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-        yield from _chunks(data, 12, b"EXIF", "<4sI", 0)
+        yield from _chunks(data, 12, b"EXIF", png=False)
 
 
 def _chunks(
-    data: mmap.mmap, position: int, name: bytes, header: str, checksum: int
+    data: mmap.mmap, position: int, name: bytes, *, png: bool
 ) -> Iterator[bytes]:
-    """The contents of a PNG's or WebP's chunks of one name."""
+    """The contents of a PNG's or else WebP's chunks of one name, from a position on."""
     while position + 8 <= len(data):
-        first, second = struct.unpack_from(header, data, position)
-        found, length = (first, second) if isinstance(first, bytes) else (second, first)
+        first, second = data[position : position + 4], data[position + 4 : position + 8]
+        found = second if png else first
+        length = (
+            int.from_bytes(first, "big") if png else int.from_bytes(second, "little")
+        )
+        position += 8
         if found == name:
-            yield data[position + 8 : position + 8 + length].removeprefix(_EXIF_START)
-        padding = 0 if checksum else length % 2
-        position += 8 + length + padding + checksum
+            yield data[position : position + length].removeprefix(_EXIF_START)
+        position += length + (4 if png else length % 2)  # a checksum, or padding
 
 
 def _tiff_integers(data: bytes | mmap.mmap) -> dict[int, int]:

@@ -14,7 +14,6 @@ from unips_jax.config import OptimConfig
 # long.
 _NEWTON_SCHULZ = ((3.4445, -4.7750, 2.0315),) * 5
 
-
 # Inputs per output up to which Muon's step on a convolution is taken whole.
 _WIDE = 256
 
