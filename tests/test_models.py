@@ -166,13 +166,22 @@ def test_linear_pooling_cannot_cut_off_the_coarsest_stage(linear):
     )
     bottleneck = params["encoder"]["fusion"]["ppm_bottleneck"]
     bottleneck |= {"kernel": bottleneck["kernel"] * 1e-3, "bias": jnp.full(8, -0.1)}
+    branch = params["encoder"]["fusion"]["ppm0"]
+    branch["bias"] -= 1e3
 
-    def loss(params):
-        return network.apply({"params": params}, *arguments)[..., 0].sum()
+    def reached(part):
+        def loss(params):
+            return network.apply({"params": params}, *arguments)[..., 0].sum()
 
-    gradient = jax.jit(jax.grad(loss))(params)["encoder"]["stages_1"]
-    reached = [bool(jnp.any(leaf != 0)) for leaf in jax.tree.leaves(gradient)]
-    assert all(reached) if linear else not any(reached)
+        gradient = jax.jit(jax.grad(loss))(params)["encoder"]
+        leaves = jax.tree.leaves(part(gradient))
+        return [bool(jnp.any(leaf != 0)) for leaf in leaves]
+
+    stage = reached(lambda gradient: gradient["stages_1"])
+    assert all(stage) if linear else not any(stage)
+    bottleneck["bias"] += 1e2
+    pooled = reached(lambda gradient: gradient["fusion"]["ppm0"])
+    assert all(pooled) if linear else not any(pooled)
 
 
 def test_dropout_acts_in_training_only():

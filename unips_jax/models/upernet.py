@@ -21,7 +21,7 @@ class UPerNet(nn.Module):
     Attributes:
         features: width of every convolution.
         pool_scales: bins per side of the pyramid pooling module (PPM).
-        linear_pooling: no ReLU after it.
+        linear_pooling: no ReLU in it, nor after it.
         dtype: compute type.
     """
 
@@ -56,11 +56,12 @@ class UPerNet(nn.Module):
         return self._conv(3, "fpn_bottleneck")(jnp.concatenate(levels, axis=-1))
 
     def _pyramid_pooling(self, x: Array) -> Array:
+        relu = not self.linear_pooling
         pooled = [x]
         for i, bins in enumerate(self.pool_scales):
-            level = self._conv(1, f"ppm{i}")(ops.adaptive_average_pool(x, bins))
+            conv = self._conv(1, f"ppm{i}", relu=relu)
+            level = conv(ops.adaptive_average_pool(x, bins))
             pooled.append(ops.resize_bilinear(level, x.shape[1:3]))
-        relu = not self.linear_pooling
         bottleneck = self._conv(3, "ppm_bottleneck", relu=relu)
         return bottleneck(jnp.concatenate(pooled, axis=-1))
 
