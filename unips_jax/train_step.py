@@ -115,7 +115,7 @@ def train_step(
 
     Returns:
         The state after it, and metrics: loss, mae_deg, grad_norm, and untrained, the
-        share of the parameters in arrays without any gradient.
+        share of the parameters whose output has no gradient.
     """
     key = jax.random.fold_in(key, state.step)
     gradient = jax.value_and_grad(
@@ -147,10 +147,14 @@ def train_step(
 
 
 def _untrained(grads: Any) -> Array:
-    """The share of the parameters in arrays whose gradient is zero throughout."""
-    sizes = jax.tree.map(lambda g: jnp.where(jnp.any(g != 0), 0, g.size), grads)
+    """The share of the parameters that lead to an output without any gradient."""
+
+    def count(gradient: Array) -> Array:
+        off = jnp.all(gradient == 0, axis=range(gradient.ndim - 1))
+        return jnp.mean(off) * gradient.size
+
     total = sum(g.size for g in jax.tree.leaves(grads))
-    return jax.tree.reduce(jnp.add, sizes) / total
+    return jax.tree.reduce(jnp.add, jax.tree.map(count, grads)) / total
 
 
 def _accumulate(gradient, params: Any, batch: Batch, key: Array, parts: int):
