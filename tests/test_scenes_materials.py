@@ -1,10 +1,11 @@
 """Reflectance against closed forms: reciprocity, white furnace."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from unips_jax.scenes import materials
+from unips_jax.scenes import MATERIALS, materials
 
 
 def _surface(base, roughness, metallic, specular=1.0):
@@ -68,3 +69,20 @@ def test_white_furnace(roughness, cosine):
     a, b = materials.environment_brdf(jnp.float32(cosine), jnp.float32(roughness))
     assert metal < 1.001
     assert metal == pytest.approx(float(a + b), abs=0.04)
+
+
+@pytest.mark.parametrize("kind", ["fabric", "uniform", "metal"])
+def test_only_rough_objects_are_lambertian(kind):
+    point = tuple(jnp.linspace(-1, 1, 64) * scale for scale in (0.3, 0.5, 0.7))
+
+    @jax.jit
+    @jax.vmap
+    def draw(key):
+        index = jnp.int32(MATERIALS.index(kind))
+        surface = materials.draw_surface(key, index, point, jnp.zeros(64))
+        return surface.specular == 0, jnp.median(surface.roughness)
+
+    matt, roughness = draw(jax.random.split(jax.random.key(0), 400))
+    share = {"fabric": 0.4, "uniform": 0.4 * 0.5 / 0.8, "metal": 0.4 * 0.1 / 0.48}
+    assert np.mean(matt) == pytest.approx(share[kind], abs=0.08)
+    assert np.min(roughness[matt]) > 0.3

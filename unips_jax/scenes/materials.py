@@ -257,7 +257,8 @@ def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surfac
     mix = jnp.clip(value + hollow, 0.0, 1.0)
     color = light[:, None] + mix * (dark - light)[:, None]
     low, high = traits[11], traits[12]
-    rough = draws.uniform(low, high) + draws.uniform(-0.3, 0.3) * contrast * mix
+    usual = draws.uniform(low, high)
+    rough = usual + draws.uniform(-0.3, 0.3) * contrast * mix
     metallic = jnp.full_like(mix, 1.0) * is_metal
     # Chips: bare metal under paint, or rust on metal.
     chip = draws.chance(traits[14] * 0.7)
@@ -271,6 +272,6 @@ def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surfac
     scale = draws.log_uniform(1.5, 9.0)
     worn = gradient_noise(seed + 9, tuple(c * scale for c in point))  # type: ignore[arg-type]
     rough = rough + draws.chance(0.65) * draws.uniform(0.0, 0.4) * worn
-    matt = draws.chance(0.4) & (low > 0.35)
+    matt = draws.chance(0.4) & (usual > 0.5)
     specular = jnp.where(matt, 0.0, draws.uniform(0.3, 1.0))
     return Surface(color, jnp.clip(rough, 0.06, 1.0), metallic, specular)
