@@ -70,6 +70,7 @@ def make_shape(
         step_scale=jnp.float32(1 if amplitude == 0 else 0.7),
         detail=relief,
         neck=jnp.asarray([0.0, 0.0, 1.0]),
+        taper=jnp.float32(0),
         slab=jnp.asarray([0.0, 1e3]),
         center=jnp.zeros(3),
         radius=jnp.float32(1),
@@ -184,6 +185,21 @@ def test_a_neck_narrows_the_object_and_tilts_its_normals():
     assert not np.any(found.mask[inside & (np.abs(u) > width + 0.03)])
     slope = 0.5 * 0.6 * 2 * away / 0.4 / (1 + away**2) ** 2  # of the face z = width(y)
     true = np.stack([0 * v, -slope, np.ones_like(v)], -1)
+    face = inside & (np.abs(u) < width - 0.05)
+    assert np.max(np.asarray(angular_error_deg(found.normals, true))[face]) < 0.3
+
+
+@pytest.mark.parametrize("taper", [0.6, -0.6])
+def test_a_taper_narrows_the_object_towards_one_end(taper):
+    shape = make_shape(slabs=[((0, 0, 0), (0.5, 0.85, 0.5))])
+    shape = shape._replace(taper=jnp.float32(taper), step_scale=jnp.float32(0.8))
+    found = look(shape, size=64)
+    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
+    width = 0.5 * (1 - 0.6 * (0.5 + 0.5 * np.sign(taper) * v))
+    inside = np.abs(v) < 0.8
+    assert np.all(found.mask[inside & (np.abs(u) < width - 0.03)])
+    assert not np.any(found.mask[inside & (np.abs(u) > width + 0.03)])
+    true = np.array([0.0, 0.15 * np.sign(taper), 1.0])  # of the face z = width(y)
     face = inside & (np.abs(u) < width - 0.05)
     assert np.max(np.asarray(angular_error_deg(found.normals, true))[face]) < 0.3
 

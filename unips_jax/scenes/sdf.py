@@ -91,6 +91,8 @@ class Shape(NamedTuple):
         twist: radians per unit along y.
         neck: `[3]`: the share of its width that the object loses at a height y, that
             height, and the distance from it at which half of this is left.
+        taper: in (-1, 1): the share of its width that the object loses from the
+            bottom of its sphere to the top, or the other way round where negative.
         slab: `[2]`: a height y and half a thickness; what is not between these two
             planes is cut away.
         waves: `[W, 5]`: cycles per unit (3), phase in cycles, amplitude.
@@ -108,6 +110,7 @@ class Shape(NamedTuple):
     mirror: Array
     twist: Array
     neck: Array
+    taper: Array
     slab: Array
     waves: Array
     wave_warp: Array
@@ -151,11 +154,14 @@ def _compose(d: Array, slot: Array, point: Point) -> Array:
     return sign * (_smaller(d, e) - h * h * (0.25 / blend))
 
 
-def _neck_width(shape: Shape, y: Array) -> Array:
+def _width(shape: Shape, y: Array) -> Array:
     """Share of its width that the object keeps at heights y, in (0, 1]."""
     depth, height, reach = shape.neck
     away = (y - height) / reach
-    return 1 - depth / (1 + away * away)
+    narrowed = 1 - depth / (1 + away * away)
+    rise = (y - shape.center[1]) / shape.radius
+    upwards = jnp.clip(0.5 + 0.5 * rise * jnp.sign(shape.taper), 0.0, 1.0)
+    return narrowed * (1 - jnp.abs(shape.taper) * upwards)
 
 
 def _fold(shape: Shape, point: Point, width: Array) -> Point:
@@ -198,7 +204,7 @@ def distance(shape: Shape, point: Point) -> Array:
     Returns:
         A lower bound of the distance (approximately), scaled to be safe to march.
     """
-    width = _neck_width(shape, point[1])
+    width = _width(shape, point[1])
     folded = _fold(shape, point, width)
 
     empty = jnp.full_like(point[0], 1e3)

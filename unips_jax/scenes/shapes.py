@@ -32,16 +32,17 @@ _TYPE_WEIGHTS = np.array(
     np.float32,
 )
 # Columns: least and greatest size, thickness factor, blend low and high, chance that
-# a slot is used, chance of a cut, of a twist, of a mirror, of a neck, of flat ends.
+# a slot is used, chance of a cut, of a twist, of a mirror, of a neck, of flat ends, of
+# a taper.
 _TRAITS = np.array(
     [
-        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.4, 0.2, 0.25, 0.25, 0.15],
-        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3, 0.25, 0.15],
-        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3, 0.25, 0.15],
-        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.7, 0.1, 0.0, 0.35, 0.5],
-        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3, 0.25, 0.1],
-        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.65, 0.0, 0.0, 0.0, 0.0],
-        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.65, 0.0, 0.0, 0.0, 0.0],
+        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.4, 0.2, 0.25, 0.25, 0.15, 0.15],
+        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3, 0.25, 0.15, 0.15],
+        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3, 0.25, 0.15, 0.15],
+        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.7, 0.1, 0.0, 0.35, 0.5, 0.4],
+        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3, 0.25, 0.1, 0.1],
+        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.65, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.65, 0.0, 0.0, 0.0, 0.0, 0.0],
     ],
     np.float32,
 )
@@ -229,16 +230,18 @@ def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
     )
 
 
-def _neck(
-    draws: Draws, neck_rate: Array, slab_rate: Array, middle: Array, radius: Array
-) -> tuple[Array, Array]:
-    """Draws `Shape.neck`, its depth 0 where there is none, and `Shape.slab`."""
-    depth = draws.uniform(0.3, 0.75) * draws.chance(neck_rate)
+def _profile(
+    draws: Draws, traits: Array, middle: Array, radius: Array
+) -> tuple[Array, Array, Array]:
+    """Draws `Shape.neck`, its depth 0 where there is none, `taper` and `slab`."""
+    depth = draws.uniform(0.3, 0.75) * draws.chance(traits[9])
     height = middle + draws.uniform(-0.35, 0.35) * radius
     neck = jnp.stack([depth, height, draws.uniform(0.3, 0.8) * radius])
-    cut = draws.chance(slab_rate)
+    cut = draws.chance(traits[10])
     half = jnp.where(cut, draws.uniform(0.35, 0.75) * radius, 1e3)
-    return neck, jnp.stack([middle + draws.uniform(-0.25, 0.25) * radius, half])
+    slab = jnp.stack([middle + draws.uniform(-0.25, 0.25) * radius, half])
+    taper = draws.uniform(0.2, 0.75) * draws.chance(traits[11])
+    return neck, jnp.where(draws.chance(0.5), taper, -taper), slab
 
 
 def draw_shape(key: Array, kind: Array) -> Shape:
@@ -248,7 +251,7 @@ def draw_shape(key: Array, kind: Array) -> Shape:
         key: a random key.
         kind: index into `SHAPE_KINDS`, int32 scalar.
     """
-    key_slots, key_waves, key_detail, key_seed, key_neck = jax.random.split(key, 5)
+    key_slots, key_waves, key_detail, key_seed, key_profile = jax.random.split(key, 5)
     draws = Draws(key_slots, 256)
     traits = jnp.asarray(_TRAITS)[kind]
     primitives, reach = _slots(draws, kind)
@@ -270,14 +273,15 @@ def draw_shape(key: Array, kind: Array) -> Shape:
         jnp.sum(amplitude * frequency) * 6.3 * (1 + 6.3 * warp * amplitude[0]) * 0.5
     )
     twisting = jnp.abs(twist) * radius * 0.7 * (1 - lathe)
-    neck, slab = _neck(Draws(key_neck, 8), traits[9], traits[10], center[1], radius)
-    tapering = neck[0] * radius / neck[2]
+    neck, taper, slab = _profile(Draws(key_profile, 16), traits, center[1], radius)
+    tapering = neck[0] * radius / neck[2] + 0.5 * jnp.abs(taper)
     return Shape(
         slots=pack(primitives),
         lathe=lathe,
         mirror=mirror * (1 - lathe),
         twist=twist * (1 - lathe),
         neck=neck,
+        taper=taper,
         slab=slab,
         waves=jnp.concatenate(
             [
