@@ -12,7 +12,7 @@ from training_runs import CONFIG, DATA, batch
 from unips_jax.config import OptimConfig
 from unips_jax.optim import make_optimizer
 from unips_jax.train_state import new_state
-from unips_jax.train_step import _accumulate, augment, train_step
+from unips_jax.train_step import _accumulate, _untrained, augment, train_step
 
 
 @pytest.mark.parametrize(
@@ -30,16 +30,23 @@ def test_loss_falls(name):
         losses.append(float(metrics["loss"]))
     assert np.mean(losses[-5:]) < 0.5 * losses[0]
     assert int(state.step) == 30
-    assert metrics["untrained"] == 0
     # Nothing passes a layer whose ReLUs are all off: here the last of the encoder.
     fusion = state.params["encoder"]["fusion"]["fpn_bottleneck"]
     fusion["bias"] -= 1e6
+    before = metrics["untrained"]
     _, metrics = step(state, data, jax.random.key(1), config=config)
     sizes = jax.tree.map(jnp.size, state.params)
     encoder, decoder = (
         jax.tree.reduce(operator.add, sizes[half]) for half in ("encoder", "decoder")
     )
-    assert metrics["untrained"] == pytest.approx(encoder / (encoder + decoder))
+    assert before < 0.2
+    assert metrics["untrained"] >= encoder / (encoder + decoder) > 0.5
+
+
+def test_untrained_counts_the_outputs_without_gradient():
+    kernel = jnp.asarray([[[0.0, 1.0]], [[0.0, 0.0]]])
+    grads = {"kernel": kernel, "bias": jnp.asarray([0.0, 2.0]), "key": jnp.zeros(3)}
+    assert _untrained(grads) == pytest.approx((2 + 1 + 3) / 9)
 
 
 def test_a_step_moves_no_output_far():
@@ -55,7 +62,7 @@ def test_a_step_moves_no_output_far():
         state = optimizer.init({"kernel": kernel})
         update, _ = optimizer.update({"kernel": gradient}, state, {"kernel": kernel})
         moved = inputs @ update["kernel"].reshape(-1, 64)
-        assert 1e-3 < abs(moved).max() < 0.02
+        assert 1e-3 < abs(moved).max() < 0.03
 
 
 def test_accumulation_is_the_mean_of_its_parts():

@@ -95,7 +95,9 @@ def _shorten_wide(updates: Any, _: Any) -> Any:
 
     def shorten(update: jax.Array) -> jax.Array:
         inputs = math.prod(update.shape[:-1])
-        return update * min(1.0, _WIDE / inputs) if update.ndim == 4 else update
+        return (
+            update * min(1.0, math.sqrt(_WIDE / inputs)) if update.ndim == 4 else update
+        )
 
     return jax.tree.map(shorten, updates)
 
