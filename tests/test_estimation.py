@@ -185,6 +185,21 @@ def test_gradients_are_finite_where_images_are_black(params):
     assert np.isfinite(jax.grad(loss)(jnp.asarray(images))).all()
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_show(params, value):
+    images, mask = photographs()
+    clean = estimate_normals(params, images, mask, config=SMALL)
+    images[:, ~mask] = value
+    again = estimate_normals(params, images, mask, config=SMALL)
+    np.testing.assert_array_equal(again, clean)
+    images[1, 12, 13, 2] = value
+    expected = np.where(mask, np.nan, 0)[..., None].repeat(3, -1)
+    for estimate in (estimate_normals, estimate_photographs):
+        with np.errstate(invalid="ignore"):
+            normals = estimate(params, images, mask, config=SMALL)
+        np.testing.assert_array_equal(normals, expected)
+
+
 def test_compiles_once_per_shape(params):
     estimation._estimate_normals.clear_cache()
     for seed in range(3):

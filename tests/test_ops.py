@@ -84,6 +84,15 @@ def test_normalize_has_finite_gradients_at_zero():
     assert np.isfinite(gradient).all()
 
 
+def test_normalize_shows_what_is_not_finite():
+    x = jnp.array(
+        [[np.nan, 1, 0], [1, np.inf, 0], [-np.inf, 0, 0], [0, 1e30, 0], [0, 0, 2]]
+    )
+    expected = np.full((5, 3), np.nan)
+    expected[4] = 0, 0, 1
+    np.testing.assert_array_equal(ops.normalize(x), expected)
+
+
 @pytest.mark.parametrize("strides", [(1, 1), (2, 2)])
 @pytest.mark.parametrize("size", [(1, 1), (3, 3), (2, 3)])
 def test_convolution_has_the_librarys_derivatives(strides, size):

@@ -160,7 +160,8 @@ def estimate_normals(
 
     Returns:
         `[H, W, 3]`: unit normals inside the mask, x right, y up, z towards the viewer;
-        zero outside.
+        zero outside. NaN inside where a value that is not finite reached them: one
+        inside the mask reaches them all, through its image's context.
 
     Raises:
         ValueError: if the shapes do not fit each other.

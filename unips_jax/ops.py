@@ -254,12 +254,14 @@ def normalize(x: Array, *, epsilon: float = 1e-12) -> Array:
         epsilon: the smallest length divided by.
 
     Returns:
-        `[..., 3]`, unit vectors; zero where `x` is zero.
+        `[..., 3]`, unit vectors; zero where `x` is zero, NaN where its squared length
+        is not finite.
     """
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     squared = jnp.sum(jnp.square(x), axis=-1, keepdims=True)
-    safe = squared > epsilon**2
-    return jnp.where(safe, x * jax.lax.rsqrt(jnp.where(safe, squared, 1.0)), 0.0)
+    zero = squared <= epsilon**2  # false for NaN
+    unit = jnp.where(zero, 0.0, x * jax.lax.rsqrt(jnp.where(zero, 1.0, squared)))
+    return jnp.where(jnp.isfinite(squared), unit, jnp.nan)
 
 
 def gelu(x: Array) -> Array:
