@@ -185,6 +185,36 @@ def test_gradients_are_finite_where_images_are_black(params):
     assert np.isfinite(jax.grad(loss)(jnp.asarray(images))).all()
 
 
+def equations(jaxpr, inside_loop=False):
+    """Yields a jaxpr's equations at any depth, and whether each is in a loop."""
+    for equation in jaxpr.eqns:
+        yield equation, inside_loop
+        looped = inside_loop or equation.primitive.name in ("scan", "while")
+        for value in jax.tree.leaves(
+            equation.params, is_leaf=lambda value: hasattr(value, "eqns")
+        ):
+            if hasattr(value, "eqns"):
+                yield from equations(value, looped)
+
+
+def test_loops_never_hold_whole_images(params):
+    """Nor does their backward pass: else its cost grows with the pixels squared."""
+    images = jnp.zeros((3, 90, 120, 3))
+
+    def loss(images):
+        return jnp.sum(estimate_normals(params, images, config=SMALL)[..., 2])
+
+    gradient = jax.make_jaxpr(jax.grad(loss))(images)
+    sizes = [
+        variable.aval.size
+        for equation, looped in equations(gradient)
+        if looped
+        for variable in (*equation.invars, *equation.outvars)
+    ]
+    whole = images.size
+    assert estimation.CHUNK_TOKENS < max(sizes) < whole / 2
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite_show(params, value):
     images, mask = photographs()

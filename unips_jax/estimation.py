@@ -218,53 +218,45 @@ def _estimate_normals(
         params, inputs, valid, config=config, uniform_contexts=uniform_contexts
     )
 
-    # Masked pixels first, so that whole chunks beyond them can be skipped.
+    # Masked pixels first, so that whole chunks beyond them can be skipped. Gathered
+    # before the loop: in it, each chunk's gradient would be as large as the images.
     count = height * width
     (index,) = jnp.nonzero(mask.reshape(-1), size=count, fill_value=count)
     flat = images.reshape(n, count, 3)
+    pixels = jnp.moveaxis(jnp.take(flat, index, axis=1, mode="clip"), 0, 1)
 
-    def decode_chunk(part: Array) -> Array:
-        def run(part: Array) -> Array:
-            pixels = jnp.take(flat, part, axis=1, mode="clip")  # [N, P, 3]
-            return decode(
-                params,
-                contexts,
-                jnp.moveaxis(pixels, 0, 1),
-                (part // width, part % width),
-                frame,
-                valid,
-                config=config,
-            )
+    def decode_chunk(part: tuple[Array, Array]) -> Array:
+        def run(part: tuple[Array, Array]) -> Array:
+            pixels, index = part
+            places = index // width, index % width
+            return decode(params, contexts, pixels, places, frame, valid, config=config)
 
-        empty = jnp.zeros((part.size, 3), jax.eval_shape(run, part).dtype)
-        return jax.lax.cond(part[0] < count, run, lambda _: empty, part)
+        result = jax.eval_shape(run, part)
+        empty = jnp.zeros(result.shape, result.dtype)
+        return jax.lax.cond(part[1][0] < count, run, lambda _: empty, part)
 
-    decoded = map_chunks(
-        decode_chunk, index, max(1, CHUNK_TOKENS // n), fill_value=count
-    )
+    decoded = map_chunks(decode_chunk, (pixels, index), max(1, CHUNK_TOKENS // n))
     normals = jnp.zeros((count, 3), decoded.dtype)
     normals = normals.at[index].set(decoded, mode="drop")
     return normals.reshape(height, width, 3)
 
 
-def map_chunks(
-    function: Callable[[Any], Any], xs: Any, size: int, *, fill_value: float = 0
-) -> Any:
+def map_chunks(function: Callable[[Any], Any], xs: Any, size: int) -> Any:
     """Applies a function to chunks of the leading axis, rematerialised under `grad`.
 
-    Chunks are evenly sized, the last one padded with `fill_value`.
+    Chunks are evenly sized, the last one padded with zeros.
     """
     total = jax.tree.leaves(xs)[0].shape[0]
     if total <= size:
         return jax.checkpoint(function)(xs)
-    parts = split_chunks(xs, size, fill_value=fill_value)
+    parts = split_chunks(xs, size)
     return join_chunks(jax.lax.map(jax.checkpoint(function), parts), total)
 
 
-def split_chunks(xs: Any, size: int, *, fill_value: float = 0) -> Any:
+def split_chunks(xs: Any, size: int) -> Any:
     """Cuts arrays `[P, ...]` into chunks of at most `size`: `[chunks, p, ...]`.
 
-    Chunks are evenly sized, the last one padded with `fill_value`.
+    Chunks are evenly sized, the last one padded with zeros.
     """
     total = jax.tree.leaves(xs)[0].shape[0]
     chunks = -(-total // size)
@@ -272,7 +264,7 @@ def split_chunks(xs: Any, size: int, *, fill_value: float = 0) -> Any:
 
     def split(x: Array) -> Array:
         widths = [(0, chunks * size - total)] + [(0, 0)] * (x.ndim - 1)
-        x = jnp.pad(x, widths, constant_values=fill_value)
+        x = jnp.pad(x, widths)
         return x.reshape(chunks, size, *x.shape[1:])
 
     return jax.tree.map(split, xs)
