@@ -265,6 +265,26 @@ def test_ps_wild_training_folder_is_read_and_left_alone(tmp_path):
     assert data.snapshot(tmp_path) == before
 
 
+@pytest.mark.parametrize("suffix", [".tif", ".exr"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_photographs_that_are_not_finite_are_refused(tmp_path, suffix, value):
+    data.make_ps_wild_train(tmp_path)
+    pixels = np.full((16, 16, 3), 0.5, np.float32)
+    for path in sorted((tmp_path / "anvil.data").glob("0*.tif")):
+        path.unlink()
+        pixels[3, 4, 1] = value if path.stem == "004" else 0.5
+        if suffix == ".tif":
+            data.write_image(path, pixels)
+        else:
+            with OpenEXR.File({}, {"RGB": pixels.copy()}) as file:
+                file.write(str(path.with_suffix(".exr")))
+    benchmark = open_benchmark("ps-wild-train", tmp_path)
+    message = rf"004\{suffix}: expected finite values, got 1 NaN or infinite"
+    for read in (benchmark.check, benchmark.__getitem__):
+        with pytest.raises(InputError, match=message):
+            read(0)
+
+
 def test_ps_wild_masked_pixels_without_truth_are_left_out_and_reported(tmp_path):
     data.make_ps_wild(tmp_path, objects=1)
     folder = tmp_path / "mixed" / "obj000.data"

@@ -84,6 +84,21 @@ def as_float(image: np.ndarray) -> np.ndarray:
     return image.astype(np.float32, copy=False)
 
 
+def require_finite(path: Path, image: np.ndarray) -> None:
+    """Raises InputError if an image's values are not all finite.
+
+    Args:
+        path: named in the error.
+        image: of any shape; integers are finite.
+    """
+    bad = image.size - np.count_nonzero(np.isfinite(image))
+    if bad:
+        raise InputError(
+            f"{path}: expected finite values, got {bad} NaN or infinite ones; replace "
+            "them by 0 or remove the image"
+        )
+
+
 def _checked(path: Path, image: np.ndarray) -> np.ndarray:
     if image.dtype in (np.float16, np.float64):
         image = image.astype(np.float32)
@@ -92,15 +107,8 @@ def _checked(path: Path, image: np.ndarray) -> np.ndarray:
             f"{path}: expected 8-bit, 16-bit or float pixels, got {image.dtype}; "
             "export it as one of these"
         )
-    if image.dtype == np.float32:
-        bad = image.size - np.count_nonzero(np.isfinite(image))
-        if bad:
-            raise InputError(
-                f"{path}: expected finite values, got {bad} NaN or infinite ones; "
-                "replace them by 0 or remove the image"
-            )
-        image = np.maximum(image, 0)
-    return image
+    require_finite(path, image)
+    return np.maximum(image, 0) if image.dtype == np.float32 else image
 
 
 def _decode(data: bytes) -> np.ndarray | None:

@@ -1,6 +1,7 @@
 """Reading images, with errors that name the file.
 
-A damaged image is never returned half decoded: it raises `InputError`.
+A damaged image is never returned half decoded: it raises `InputError`, as do values
+that are not finite.
 """
 
 import contextlib
@@ -16,6 +17,7 @@ import numpy as np
 
 from unips_jax.command import InputError
 from unips_jax.evaluation.benchmarks.files import read_bytes
+from unips_jax.image_files import require_finite
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".jpg", ".jpeg", ".bmp", ".webp")
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -63,7 +65,8 @@ def image_facts(data: bytes, path: Path) -> ImageFacts:
         path: named in errors; its suffix is not trusted.
 
     Raises:
-        InputError: if the image is damaged, cut short or of no known format.
+        InputError: if the image is damaged, cut short, of no known format or, where
+            it is decoded, not finite.
     """
     if data.startswith(_PNG):
         return _png_facts(data, path)
@@ -103,7 +106,7 @@ def read_image(path: Path) -> np.ndarray:
         order red, green, blue (alpha), C as in the file.
 
     Raises:
-        InputError: if the file is missing, damaged or of no known format.
+        InputError: if the file is missing, damaged, of no known format or not finite.
     """
     data = read_bytes(path)
     if data.startswith(_PNG):
@@ -112,8 +115,13 @@ def read_image(path: Path) -> np.ndarray:
 
 
 def _decode(data: bytes, path: Path) -> np.ndarray:
-    if path.suffix.lower() == ".exr":
-        return _decode_exr(path)
+    exr = path.suffix.lower() == ".exr"
+    image = _decode_exr(path) if exr else _decode_others(data, path)
+    require_finite(path, image)
+    return image
+
+
+def _decode_others(data: bytes, path: Path) -> np.ndarray:
     if data.startswith(b"\xff\xd8") and not data.rstrip(b"\0").endswith(b"\xff\xd9"):
         raise InputError(f"{path}: the JPEG is cut short; copy it again")
     with _silent_opencv():
@@ -184,7 +192,7 @@ def read_normals(path: Path) -> np.ndarray:
         `[H, W, 3]`, float32, as stored: not normalised.
 
     Raises:
-        InputError: if the image has fewer than three channels, or is not finite.
+        InputError: if the image cannot be read or has fewer than three channels.
     """
     image = read_image(path)
     if image.shape[2] < 3:
@@ -193,8 +201,6 @@ def read_normals(path: Path) -> np.ndarray:
         )
     image = image[..., :3]
     if image.dtype == np.float32:
-        if not np.isfinite(image).all():
-            raise InputError(f"{path}: the normal map holds values that are not finite")
         return image
     top = np.iinfo(image.dtype).max
     return (image.astype(np.float64) * (2 / top) - 1).astype(np.float32)
