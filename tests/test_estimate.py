@@ -289,7 +289,7 @@ BAD_INPUT = {
     "mask turned": (mask_turned, ["mask.png", "got 60 x 80", "turn it by 90"]),
     "mask empty": (
         lambda f: replace(f / "mask.png", np.zeros((HEIGHT, WIDTH), np.uint8)),
-        ["mask.png", "got 0 everywhere"],
+        ["mask.png", "values above 0 on the object, got at most 0"],
     ),
     "mask damaged": (lambda f: truncate(f / "mask.png", 0.5), ["mask.png", "damaged"]),
     "two masks": (

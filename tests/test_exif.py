@@ -9,7 +9,7 @@ from test_photos import HEIGHT, WIDTH, save, smooth
 
 from unips_jax.command import InputError
 from unips_jax.exif import exif_orientation
-from unips_jax.image_files import read_image
+from unips_jax.image_files import read_image, read_opacity
 from unips_jax.official_reader import read_official
 from unips_jax.photos import read_photographs, select
 
@@ -98,6 +98,13 @@ def test_whatever_the_decoder_turns_is_reported(tmp_path, suffix, dtype, add):
     path.write_bytes(add(path.read_bytes(), 3))
     np.testing.assert_array_equal(read_image(path), upright[::-1, ::-1])
     assert exif_orientation(path) == 3
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_opacity_turns_with_the_image(tmp_path, orientation):
+    path = save(tmp_path / "a.png", smooth(np.uint8)[..., [0, 1, 2, 0]])
+    path.write_bytes(png_with_orientation(path.read_bytes(), orientation))
+    np.testing.assert_array_equal(read_opacity(path), read_image(path)[..., 0])
 
 
 @pytest.mark.parametrize("data", [b"", b"II*\0", b"\xff\xd8\xff\xe1", b"\x89PNG"])

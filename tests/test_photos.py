@@ -204,6 +204,48 @@ def test_mask_is_the_first_channel_above_zero(tmp_path):
     np.testing.assert_array_equal(read, mask[..., 0] > 0)
 
 
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [(".png", np.uint8), (".png", np.uint16), (".tif", np.uint8), (".webp", np.uint8)],
+)
+@pytest.mark.parametrize("colour", [0, 255])
+def test_mask_of_one_colour_is_where_it_is_not_transparent(
+    tmp_path, suffix, dtype, colour
+):
+    picture = np.full((HEIGHT, WIDTH, 4), colour, dtype)
+    picture[..., 3] = 0
+    picture[2:5, 3:9, 3] = 1
+    picture[8:, :, 3] = np.iinfo(dtype).max
+    read = read_mask(save(tmp_path / f"mask{suffix}", picture))
+    np.testing.assert_array_equal(read, picture[..., 3] > 0)
+
+
+def test_transparency_does_not_matter_beside_colours_nor_where_it_is_even(tmp_path):
+    picture = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
+    picture[..., 3] = 255
+    path = tmp_path / "mask.png"
+    with pytest.raises(
+        InputError, match=r"mask\.png: expected .* got at most 0; paint"
+    ):
+        read_mask(save(path, picture))
+    picture[3:9, 4:8, :3] = 255
+    picture[5:, :, 3] = 0
+    np.testing.assert_array_equal(read_mask(save(path, picture)), picture[..., 0] > 0)
+
+
+def test_noise_of_a_jpeg_mask_is_no_object(tmp_path):
+    y, x = np.mgrid[:60, :80]
+    disc = np.hypot(x - 40, y - 30) < 17
+    stored = cv2.imencode(".jpg", disc * 255, [cv2.IMWRITE_JPEG_QUALITY, 70])[1]
+    path = tmp_path / "mask.jpg"
+    path.write_bytes(stored.tobytes())
+    assert (read_image(path)[~disc] > 0).any()
+    np.testing.assert_array_equal(read_mask(path), disc)
+    save(path, np.full((HEIGHT, WIDTH), 100, np.uint8))
+    with pytest.raises(InputError, match="values above 127 on the object, got at most"):
+        read_mask(path)
+
+
 def test_negative_floats_become_zero(tmp_path):
     picture = smooth(np.float32)
     picture[2, 3] = -0.1

@@ -2,7 +2,8 @@
 
 Formats: PNG, JPEG, TIFF, WebP, BMP and Radiance HDR through OpenCV, OpenEXR through
 the `OpenEXR` package, recognised by content, 8 bit, 16 bit or float. Pixels come back
-as they are stored: no scaling, no transfer function. Alpha is dropped.
+as they are stored: no scaling, no transfer function. Alpha is dropped (`read_opacity`
+gives it).
 
 The EXIF orientation is applied, for photographs and masks alike, so that pixels are
 where every viewer shows them: a mask drawn over the displayed photograph fits.
@@ -27,7 +28,7 @@ import numpy as np
 import OpenEXR
 
 from unips_jax.command import InputError
-from unips_jax.exif import JPEG_START, PNG_START, jpeg_segments
+from unips_jax.exif import JPEG_START, PNG_START, exif_orientation, jpeg_segments
 
 SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr", ".hdr")
@@ -71,6 +72,35 @@ def read_image(path: Path) -> np.ndarray:
             f"file{complaint}; copy or export it again, or remove it"
         )
     return _checked(path, image)
+
+
+def read_opacity(path: Path) -> np.ndarray | None:
+    """Reads an image's alpha channel, turned like the image.
+
+    Args:
+        path: a file that `read_image` reads.
+
+    Returns:
+        `[H, W]`, in the storage type; None where there is none, or in EXR.
+    """
+    data = path.read_bytes()
+    if data.startswith(_EXR_MAGIC):
+        return None
+    with _quiet_decoders():
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 3 or image.shape[2] != 4:
+        return None
+    alpha, orientation = image[..., 3], exif_orientation(path)
+    # OpenCV turns other images, but not unchanged ones.
+    alpha = alpha.T if orientation >= 5 else alpha
+    alpha = alpha[:, ::-1] if orientation in (2, 3, 6, 7) else alpha
+    return alpha[::-1] if orientation in (3, 4, 7, 8) else alpha
+
+
+def is_jpeg(path: Path) -> bool:
+    """Whether a file is a JPEG, by its content."""
+    with path.open("rb") as file:
+        return file.read(len(JPEG_START)) == JPEG_START
 
 
 def as_float(image: np.ndarray) -> np.ndarray:

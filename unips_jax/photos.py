@@ -5,9 +5,9 @@ What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or el
 truth or this package's own output (`is_map`), and never hidden files. Files are sorted
 by name; whatever is left out is listed with its reason.
 
-The mask is `mask.png` (or another format), or the file given: inside where the first
-channel is above 0. Without a mask the whole image counts: nothing is cropped or
-stretched. EXIF orientation: see `unips_jax.image_files`.
+The mask is `mask.png` (or another format), or the file given; see `read_mask`. Without
+a mask the whole image counts: nothing is cropped or stretched. EXIF orientation: see
+`unips_jax.image_files`.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ import numpy as np
 
 from unips_jax.command import InputError
 from unips_jax.exif import exif_orientation
-from unips_jax.image_files import SUFFIXES, read_image
+from unips_jax.image_files import SUFFIXES, is_jpeg, read_image, read_opacity
 
 _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
 _MAP_NAME = re.compile(
@@ -167,17 +167,28 @@ def mask_for(selection: Selection, shape: tuple[int, ...]) -> np.ndarray:
 def read_mask(file: Path) -> np.ndarray:
     """Reads a mask: `[H, W]` bool, true where the first channel is above 0.
 
+    In a JPEG, whose compression leaves noise around the object, it must be above half
+    of full scale. An image of one colour whose transparency varies is inside where it
+    is not fully transparent.
+
     Args:
         file: an image of any supported format.
 
     Raises:
         InputError: if the file cannot be read, or nothing is inside.
     """
-    mask = read_image(file)[..., 0] > 0
+    image = read_image(file)
+    values = image[..., 0]
+    if (image == image[0, 0]).all():
+        opacity = read_opacity(file)
+        if opacity is not None and np.ptp(opacity):
+            values = opacity
+    floor = np.iinfo(image.dtype).max // 2 if is_jpeg(file) else 0
+    mask = values > floor
     if not mask.any():
         raise InputError(
-            f"{file}: expected a mask with values above 0 on the object, got 0 "
-            "everywhere; paint the object white, or remove the mask"
+            f"{file}: expected a mask with values above {floor} on the object, got at "
+            f"most {values.max()}; paint the object white, or remove the mask"
         )
     return mask
 
