@@ -16,7 +16,7 @@ import functools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from unips_jax.capture import capture_warnings
 from unips_jax.command import InputError, command, keep_compiled, progress, track
 from unips_jax.config import ModelConfig
 from unips_jax.contact_sheet import write_sheet
+from unips_jax.image_files import Transfer, usual_transfer
 from unips_jax.normal_files import (
     NormalMap,
     appearing_at_once,
@@ -42,8 +43,6 @@ from unips_jax.run_record import (
 )
 
 DEFAULT_WEIGHTS = "tiny"
-
-Transfer = Literal["linear", "srgb"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -282,7 +281,7 @@ def _read(selection: Selection, arguments: argparse.Namespace) -> _Capture:
     )
     transfer = arguments.transfer
     if transfer == "auto":
-        transfer = "srgb" if images.dtype == np.uint8 else "linear"
+        transfer = usual_transfer(images.dtype)
     return _Capture(images, mask, transfer)
 
 

@@ -22,13 +22,17 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 import OpenEXR
+from numpy.typing import DTypeLike
 
 from unips_jax.command import InputError
 from unips_jax.exif import JPEG_START, PNG_START, exif_orientation, jpeg_segments
+
+Transfer = Literal["linear", "srgb"]
 
 SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr", ".hdr")
@@ -112,6 +116,33 @@ def as_float(image: np.ndarray) -> np.ndarray:
     if image.dtype.kind == "u":
         return image.astype(np.float32) / np.iinfo(image.dtype).max
     return image.astype(np.float32, copy=False)
+
+
+def usual_transfer(dtype: DTypeLike) -> Transfer:
+    """How files of a type encode light: 8 bit sRGB, the rest linear.
+
+    Cameras, phones and programs write 8 bit so; raw converters for measurement, data
+    sets and renderers write 16 bit and float so.
+
+    Args:
+        dtype: of the stored pixels.
+    """
+    return "srgb" if np.dtype(dtype) == np.uint8 else "linear"
+
+
+def as_linear(image: np.ndarray, transfer: Transfer) -> np.ndarray:
+    """Values of linear light, float32, in [0, 1] for integers.
+
+    Args:
+        image: uint8, uint16 or float32, of any shape.
+        transfer: how its values encode light.
+    """
+    values = as_float(image)
+    if transfer == "srgb":
+        low = values / 12.92
+        high = ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4
+        values = np.where(values <= 0.04045, low, high).astype(np.float32)
+    return values
 
 
 def require_finite(path: Path, image: np.ndarray) -> None:

@@ -218,7 +218,7 @@ def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
     if len(masks) > 1:
         raise InputError(
             f"{folder}: expected one mask, got {', '.join(m.name for m in masks)}; "
-            "name one with --mask"
+            "keep one, or name it with --mask of `unips estimate`"
         )
     return masks[0] if masks else None
 

@@ -1,7 +1,7 @@
 """`estimate_normals` for photographs: they stay on the host in their storage type."""
 
 from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from unips_jax.canonical import Frame, FrameKind, resize_weights, square_frame
 from unips_jax.config import ModelConfig
 from unips_jax.estimation import CHUNK_TOKENS, decode, encode
-from unips_jax.image_files import as_float
+from unips_jax.image_files import Transfer, as_linear
 
 # Set sizes that are compiled; a set is padded to the next.
 _BUCKETS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 80, 96, 128)
@@ -21,7 +21,7 @@ def estimate_photographs(
     mask: np.ndarray,
     *,
     config: ModelConfig,
-    transfer: Literal["linear", "srgb"] = "linear",
+    transfer: Transfer = "linear",
     frame: FrameKind = "mask",
     uniform_contexts: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -73,7 +73,7 @@ def estimate_photographs(
     done, total = 0, int(np.count_nonzero(mask))
     for y, x in _masked_pixels(mask, size):
         pixels = np.zeros((size, bucket, 3), np.float32)
-        values = _linear(images[:, y, x], transfer) * gains[:, None, None]
+        values = as_linear(images[:, y, x], transfer) * gains[:, None, None]
         pixels[: y.size, :n] = values.swapaxes(0, 1)
         places = tuple(np.resize(p, size).astype(np.int32) for p in (y, x))
         decoded = _decode_jit(
@@ -108,22 +108,12 @@ def _masked_pixels(
         yield rest[0], rest[1]
 
 
-def _linear(values: np.ndarray, transfer: str) -> np.ndarray:
-    """Values of linear light, float32, in [0, 1] for integers."""
-    values = as_float(values)
-    if transfer == "srgb":
-        low = values / 12.92
-        high = ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4
-        values = np.where(values <= 0.04045, low, high).astype(np.float32)
-    return values
-
-
 def _canonical_photograph(
     image: np.ndarray,
     mask: np.ndarray,
     frame: Frame,
     resize: tuple[np.ndarray, ...],
-    transfer: str,
+    transfer: Transfer,
     config: ModelConfig,
 ) -> tuple[np.ndarray, float]:
     """`normalize_images` and `canonical_images` of a photograph, a few rows at a time.
@@ -151,7 +141,7 @@ def _canonical_photograph(
         inside = mask[part, inner, None]
         if not inside.any():
             continue
-        values = np.where(inside, _linear(image[part, inner], transfer), 0)
+        values = np.where(inside, as_linear(image[part, inner], transfer), 0)
         total += float(np.sum(values, dtype=np.float64))
         values = np.concatenate([values, inside], axis=-1).reshape(len(values), -1)
         reached = np.any(rows[:, part], axis=1)

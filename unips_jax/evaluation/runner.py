@@ -27,7 +27,7 @@ from unips_jax.evaluation.store import Store, code_hash, result_key, slug
 _POLL_S = 0.2
 _CODE = (
     *("evaluation/benchmarks", "evaluation/protocols.py", "evaluation/scores.py"),
-    *("exif.py", "image_files.py", "metrics.py"),
+    *("exif.py", "image_files.py", "metrics.py", "photos.py"),
 )
 
 

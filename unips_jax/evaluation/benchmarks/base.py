@@ -58,7 +58,7 @@ class Item(NamedTuple):
 
     Attributes:
         name: as in `Entry`.
-        images: `[N, H, W, 3]`, uint8, uint16 or float32, as stored.
+        images: `[N, H, W, 3]`, uint8, uint16 or float32, taken as linear.
         mask: `[H, W]`, bool, True on the object.
         normals: `[H, W, 3]`, float32; zero outside the mask and where the published
             truth has no direction; None where the truth is withheld.
@@ -149,7 +149,33 @@ class Benchmark(abc.ABC):
         """
         entry = self.entries[index]
         truth = self._checked_truth(entry)
-        shape = truth.mask.shape
+        stack, notes = self.photographs(entry, truth.mask.shape)
+        return Item(
+            entry.name,
+            stack,
+            truth.mask,
+            truth.normals,
+            truth.lights,
+            truth.focal,
+            entry.tags,
+            entry.notes + truth.notes + notes,
+        )
+
+    def photographs(
+        self, entry: Entry, shape: tuple[int, ...]
+    ) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Reads an object's photographs.
+
+        Args:
+            entry: the object.
+            shape: height and width of its mask.
+
+        Returns:
+            `Item`'s images, and notes on them.
+
+        Raises:
+            InputError: if a file is damaged or the files do not agree.
+        """
         stack: np.ndarray | None = None
         for i, path in enumerate(entry.images):
             image = images.read_image(path)
@@ -161,16 +187,7 @@ class Benchmark(abc.ABC):
                 raise InputError(f"{path}: {image.dtype}, the others {stack.dtype}")
             stack[i] = image
         assert stack is not None  # `find` never yields an entry without images
-        return Item(
-            entry.name,
-            stack,
-            truth.mask,
-            truth.normals,
-            truth.lights,
-            truth.focal,
-            entry.tags,
-            entry.notes + truth.notes,
-        )
+        return stack, ()
 
     def check(self, index: int) -> str:
         """Reads an object's files through without keeping its photographs.
@@ -185,22 +202,32 @@ class Benchmark(abc.ABC):
         entry = self.entries[index]
         truth = self._checked_truth(entry)
         digest = hashlib.blake2b(digest_size=16)
+        for path, data in self.checked_photographs(entry, truth.mask.shape):
+            self._digest(digest, path, data)
+        for path in entry.files:
+            self._digest(digest, path, files.read_bytes(path))
+        digest.update(repr(sorted(entry.tags.items())).encode())
+        return digest.hexdigest()
+
+    def checked_photographs(
+        self, entry: Entry, shape: tuple[int, ...]
+    ) -> Iterator[tuple[Path, bytes]]:
+        """Yields the photographs' files and contents, once they are known to be sound.
+
+        Arguments and errors are those of `photographs`.
+        """
         first: images.ImageFacts | None = None
         for path in entry.images:
             data = files.read_bytes(path)
-            self._digest(digest, path, data)
             facts = images.image_facts(data, path)
-            self._check_image(path, facts.channels, facts[:2], truth.mask.shape)
+            self._check_image(path, facts.channels, facts[:2], shape)
             first = first or facts
             if facts.bits != first.bits:
                 raise InputError(
                     f"{path}: {facts.bits} bits, but {entry.images[0].name} has "
                     f"{first.bits}"
                 )
-        for path in entry.files:
-            self._digest(digest, path, files.read_bytes(path))
-        digest.update(repr(sorted(entry.tags.items())).encode())
-        return digest.hexdigest()
+            yield path, data
 
     def _digest(self, digest: "hashlib.blake2b", path: Path, data: bytes) -> None:
         name = Path(os.path.relpath(path, self.root)).as_posix()

@@ -9,6 +9,8 @@ from unips_jax.command import InputError
 from unips_jax.evaluation.benchmarks import files, images
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
 from unips_jax.exif import exif_focal
+from unips_jax.image_files import as_linear, usual_transfer
+from unips_jax.photos import Selection, read_mask, read_photographs, select
 
 _TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
 
@@ -21,15 +23,13 @@ class Folder(Benchmark):
     convention x right, y up, z to the viewer, stored as (n + 1) / 2 in images of 8 or
     16 bits and as n in floating point, and, where it is given, `mask.*`. Without a mask
     the object's pixels are those whose true normal has unit length (to 1e-3 in 16 bits
-    or more, to 0.05 in 8). Files named like masks, truth, depth or materials are never
-    taken for photographs. Photographs are read as linear; grey ones are repeated over
-    the channels, transparency is ignored. The focal length is taken from the first
-    photograph's EXIF data, where it carries one.
+    or more, to 0.05 in 8). Photographs and mask are chosen and read as by
+    `unips estimate` (see `unips_jax.photos`), those of 8 bits taken as sRGB too. The
+    focal length is taken from the first photograph's EXIF data, where it carries one.
     """
 
     name = "folder"
     default_protocol = "native"
-    channels = (1, 3, 4)
 
     def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
         """Yields the root itself if it has a normal map, else the folders in it."""
@@ -50,24 +50,17 @@ class Folder(Benchmark):
     def _entry(self, folder: Path) -> Entry:
         truth = _truth_file(folder)
         assert truth is not None  # `find` looked
-        photographs = tuple(
-            sorted(
-                (p for p in folder.iterdir() if images.is_photograph(p)),
-                key=lambda p: files.natural_key(p.name),
-            )
-        )
-        if not photographs:
-            raise InputError(f"{folder}: no photographs beside {truth.name}")
-        masks = sorted(p for p in folder.glob("[mM]ask.*") if _is_image(p))[:1]
+        selection = select(folder)
+        masks = [selection.mask_file] if selection.mask_file else []
         name = folder.resolve().name.removesuffix(".data")
-        return Entry(name, photographs, (truth, *masks), {"object": name})
+        return Entry(name, selection.files, (truth, *masks), {"object": name})
 
     def truth(self, entry: Entry) -> Truth:
         """Reads the true normals and the mask."""
         path = entry.files[0]
         normals = images.read_normals(path)
         if len(entry.files) > 1:
-            mask = images.read_mask(entry.files[1])
+            mask = read_mask(entry.files[1])
             if mask.shape != normals.shape[:2]:
                 raise InputError(
                     f"{entry.files[1]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
@@ -77,6 +70,38 @@ class Folder(Benchmark):
             mask = _unit(path, normals)
         focal = exif_focal(entry.images[0], *mask.shape)
         return Truth(mask, normals, focal=focal)
+
+    def photographs(
+        self, entry: Entry, shape: tuple[int, ...]
+    ) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Reads the photographs as `unips estimate` does, and makes them linear."""
+        stack = _read(entry, shape)
+        if usual_transfer(stack.dtype) == "linear":
+            return stack, ()
+        linear = np.stack([as_linear(image, "srgb") for image in stack])
+        return linear, ("8-bit photographs taken as sRGB and made linear",)
+
+    def checked_photographs(
+        self, entry: Entry, shape: tuple[int, ...]
+    ) -> Iterator[tuple[Path, bytes]]:
+        """Yields the photographs' files and contents, all read before."""
+        _read(entry, shape)
+        for path in entry.images:
+            yield path, files.read_bytes(path)
+
+
+def _read(entry: Entry, shape: tuple[int, ...]) -> np.ndarray:
+    """The photographs as stored, `[N, H, W, 3]`."""
+    first = entry.images[0]
+    mask_file = entry.files[1] if len(entry.files) > 1 else None
+    stack, mask = read_photographs(Selection(first.parent, entry.images, {}, mask_file))
+    if mask.shape != tuple(shape):
+        raise InputError(
+            f"{first}: expected {shape[1]} x {shape[0]} pixels as "
+            f"{entry.files[0].name}, got {mask.shape[1]} x {mask.shape[0]}; remove or "
+            "re-export it"
+        )
+    return stack
 
 
 def _unit(path: Path, normals: np.ndarray) -> np.ndarray:
