@@ -223,6 +223,17 @@ def test_rendered_ps_wild_has_masks_lights_and_categories(tmp_path):
     assert "category" not in tags and tags["shape"] == "ball"
 
 
+@pytest.mark.parametrize(
+    ("text", "focal"),
+    [("{}", None), ('{"focal_mm": null}', np.inf), ('{"focal": 33.5}', 33.5)],
+)
+def test_ps_wild_knows_orthographic_cameras(tmp_path, text, focal):
+    data.make_ps_wild(tmp_path)
+    (tmp_path / "mixed" / "obj001.data" / "meta.json").write_text(text)
+    benchmark = open_benchmark("ps-wild", tmp_path)
+    assert by_name(benchmark)["mixed/obj001"].focal == focal
+
+
 def test_ps_wild_test_takes_masks_from_normals_and_the_manifest(tmp_path):
     data.make_ps_wild_test(tmp_path)
     (tmp_path / "environment").rename(tmp_path / "HDRI")

@@ -42,7 +42,8 @@ class Truth(NamedTuple):
         normals: `[H, W, 3]`, float32, as published (zero where unknown); None where
             the truth is withheld.
         lights: known distant lights of all images.
-        focal: focal length in pixels.
+        focal: focal length in pixels; infinite for an orthographic camera, None where
+            unknown.
         notes: quirks met.
     """
 
@@ -63,7 +64,8 @@ class Item(NamedTuple):
         normals: `[H, W, 3]`, float32; zero outside the mask and where the published
             truth has no direction; None where the truth is withheld.
         lights: known distant lights.
-        focal: focal length in pixels, None where unknown or orthographic.
+        focal: focal length in pixels; infinite for an orthographic camera, None where
+            unknown.
         tags: as in `Entry`.
         notes: quirks of the data that were dealt with.
     """

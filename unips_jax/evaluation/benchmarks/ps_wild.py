@@ -14,6 +14,7 @@ names its lighting (`directional`; `environment`, `hdri`, `env`; `mixed`,
 import csv
 import functools
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -119,6 +120,8 @@ class PSWildTest(Benchmark):
         focal = meta.get("focal")
         if focal is not None and not (isinstance(focal, (int, float)) and focal > 0):
             raise InputError(f"{path.parent / 'meta.json'}: focal is not a length")
+        if focal is None and meta.get("focal_mm", 0) is None:  # as both renderers write
+            focal = math.inf
         return Truth(mask, normals, lights, focal, tuple(notes))
 
 
