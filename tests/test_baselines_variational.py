@@ -232,6 +232,17 @@ def test_balloon_holds_its_volume_from_coarse_to_fine():
     assert height.min() > -1e-3
 
 
+def test_an_infinite_focal_length_is_the_orthographic_camera():
+    images, mask, _, _ = bumpy(32, perspective=False)
+    expected = variational(camera="orthographic", iterations=2)(images, mask)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = variational(iterations=2)(images, mask, focal=np.inf)
+    np.testing.assert_array_equal(found, expected)
+    nearly = variational(iterations=2)(images, mask, focal=32.0)
+    assert np.abs(nearly - expected)[mask].max() > 0.1
+
+
 def test_refusals_are_one_clear_line_and_missing_focal_length_warns():
     images, mask, _, _ = bumpy(32, perspective=True)
     method = variational(iterations=1)

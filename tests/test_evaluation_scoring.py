@@ -98,6 +98,8 @@ def test_focal_of_unknown_cameras_is_the_papers():
     crop = Protocol("crop", 16)
     assert protocols.show(item, crop, [0]).focal is None
     assert protocols.show(item, crop, [0], crop_focal_ratio=1.0).focal == 16
+    flat = item._replace(focal=np.inf)  # an orthographic camera is a known one
+    assert protocols.show(flat, crop, [0], crop_focal_ratio=1.0).focal == np.inf
     native = protocols.show(item, Protocol("native"), [0], crop_focal_ratio=1.0)
     assert native.focal is None
 

@@ -55,7 +55,7 @@ class Method(Protocol):
             lights: known lights; methods that need none ignore them, or measure their
                 own estimate by them.
             focal: focal length in pixels of these images, principal point at their
-                centre; None where unknown or orthographic.
+                centre; infinite for an orthographic camera, None where unknown.
 
         Returns:
             Normals `[H, W, 3]`, float32: unit length inside the mask (x right, y up, z

@@ -53,9 +53,10 @@ def variational(
             right and lower rim away; "inside" reads these from the depth inside.
 
     Returns:
-        The method. It ignores lights. Without a focal length the perspective camera
-        takes the images' longer side, with a warning. It raises `Unsupported` for
-        fewer than three images, an empty mask or black images.
+        The method. It ignores lights. An infinite focal length means the orthographic
+        camera; without any the perspective camera takes the images' longer side, with
+        a warning. It raises `Unsupported` for fewer than three images, an empty mask
+        or black images.
 
     Raises:
         ValueError: if an option is none of the above.
@@ -80,15 +81,16 @@ def variational(
     ) -> np.ndarray:
         del lights
         _, mask = object_pixels(images, mask, name="variational", minimum=MIN_IMAGES)
-        if camera == "perspective" and focal is None:
+        if camera == "orthographic":
+            focal = np.inf
+        elif focal is None:
             focal = float(max(mask.shape))
             warnings.warn(
                 f"variational: focal length unknown, {focal:g} px assumed (the "
                 "images' side); pass focal or use the orthographic camera",
                 stacklevel=2,
             )
-        used = focal if camera == "perspective" else None
-        problem = make_problem(images, mask, focal=used, clamp=clamp)
+        problem = make_problem(images, mask, focal=focal, clamp=clamp)
         results = [
             solve(
                 problem,
@@ -125,7 +127,7 @@ def make_problem(
     images: np.ndarray,
     mask: np.ndarray,
     *,
-    focal: float | None = None,
+    focal: float = np.inf,
     clamp: bool = False,
 ) -> Problem:
     """Prepares images and camera.
@@ -133,8 +135,8 @@ def make_problem(
     Args:
         images: `[N, H, W, C]`, linear, of any scale.
         mask: `[H, W]`, bool.
-        focal: focal length in pixels, principal point at the images' centre; None for
-            the orthographic camera.
+        focal: focal length in pixels, principal point at the images' centre; infinite
+            for the orthographic camera.
         clamp: leave pixels with negative shading out.
     """
     height, width = mask.shape
@@ -146,8 +148,8 @@ def make_problem(
         mask=jnp.asarray(mask, bool),
         u=jnp.asarray(u - (width - 1) / 2),
         v=jnp.asarray(v - (height - 1) / 2),
-        focal=jnp.float32(1 if focal is None else focal),
-        perspective=jnp.float32(focal is not None),
+        focal=jnp.float32(focal if np.isfinite(focal) else 1),
+        perspective=jnp.float32(np.isfinite(focal)),
         clamp=jnp.asarray(clamp),
     )
 

@@ -62,7 +62,8 @@ class Case(NamedTuple):
         mask: `[h, w]`, bool.
         normals: `[h, w, 3]`, float32; None where the truth is withheld.
         lights: of the images shown.
-        focal: in pixels of these images.
+        focal: in pixels of these images; infinite for an orthographic camera, None
+            where it is not known.
     """
 
     images: np.ndarray
