@@ -1,5 +1,7 @@
 """Uncalibrated photometric stereo: exact up to bas-relief, then resolved."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -143,12 +145,58 @@ def test_diffuse_maxima_are_exact_on_exact_pairs():
     b, light = directions @ inverse, directions @ bas_relief.transform(relief).T
     flat = light[:, 0] ** 2 + light[:, 1] ** 2
     start, end = bas_relief._segments(b, light, flat)
-    _, _, crossing = bas_relief._crossings(start, end)
+    crossing = np.concatenate([p for _, _, p in bas_relief._crossings(start, end)])
     assert len(crossing) > 3
     middle = np.median(crossing, axis=0)
     np.testing.assert_allclose(middle, relief[:2], atol=1e-9)
     lam = bas_relief._lam(b, light, flat, np.tile(relief[:2], (9, 1)))
     np.testing.assert_allclose(lam, relief[2], atol=1e-9)
+
+
+def test_crossings_are_those_of_all_pairs():
+    start, end = np.random.default_rng(0).uniform(-1, 1, (2, 40, 2))
+    expected = {}
+    for i in range(40):
+        for j in range(i + 1, 40):
+            sides = np.stack([end[i] - start[i], start[j] - end[j]], -1)
+            s, t = np.linalg.solve(sides, start[j] - start[i])
+            if 0 < s < 1 and 0 < t < 1:
+                expected[i, j] = start[i] + s * (end[i] - start[i])
+    found = {
+        (i, int(j)): point
+        for i, others, points in bas_relief._crossings(start, end)
+        for j, point in zip(others, points, strict=True)
+    }
+    assert len(expected) > 100 and list(found) == list(expected)
+    np.testing.assert_allclose(list(found.values()), list(expected.values()))
+
+
+def test_diffuse_maxima_take_memory_for_segments_not_for_pairs():
+    start = np.random.default_rng(0).uniform(-1, 1, (3000, 2))
+    tracemalloc.start()
+    count = sum(1 for _ in bas_relief._crossings(start, start + 1e-6))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert count == 0
+    assert peak < 100 * 8 * 3000  # of the 4.5 million pairs, a number each takes 36 MB
+
+
+def test_of_too_many_diffuse_maxima_some_are_used(monkeypatch):
+    normals, mask, albedo = bumpy(96, paint="one")
+    images = render(normals, albedo, lights_around(24), noise=0.01)
+    sizes, segments = [], bas_relief._segments
+
+    def counted(b, light, flat):
+        sizes.append(len(b))
+        return segments(b, light, flat)
+
+    monkeypatch.setattr(bas_relief, "_segments", counted)
+    method = uncalibrated.factorisation()
+    method(images, mask)
+    monkeypatch.setattr(bas_relief, "_MAXIMA", sizes[0] - 1)
+    predicted = method(images, mask)
+    assert sizes[1] == -(-sizes[0] // 2)
+    assert error_of(predicted, normals, mask) < 4
 
 
 def test_flat_albedo_finds_the_paint():

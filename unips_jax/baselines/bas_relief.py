@@ -7,6 +7,8 @@ silhouette. Sources: minimum entropy of the albedos (Alldrin, Mallick and Kriegm
 CVPR 2007); diffuse maxima (Favaro and Papadhimitri, CVPR 2012).
 """
 
+from collections.abc import Iterator
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +21,7 @@ from unips_jax.baselines.surface import smooth
 
 _BINS = 1024
 _PIXELS = 4096  # at most, for the entropy
+_MAXIMA = 10_000  # at most; every pair of them is looked at
 
 
 def transform(relief: np.ndarray) -> np.ndarray:
@@ -83,7 +86,8 @@ def by_diffuse_maxima(
 
     Where a diffuse image has a local maximum, the normal points to the light. Each
     such pair confines (mu, nu) to a segment; the median of all segments' crossings
-    is taken, and the median of the lam they imply.
+    is taken, and the median of the lam they imply. Of more than 10,000 points only
+    every second, third, ... is used.
 
     Args:
         field: `[H, W, 3]`, b0.
@@ -100,19 +104,22 @@ def by_diffuse_maxima(
     index, rows, columns = diffuse_maxima(images, mask)
     b, light = field[rows, columns], lights[index]
     flat = light[:, 0] ** 2 + light[:, 1] ** 2
-    keep = (np.abs(b[:, 2]) > 1e-6) & (flat > 1e-12)
+    keep = np.flatnonzero((np.abs(b[:, 2]) > 1e-6) & (flat > 1e-12))
+    keep = keep[:: max(1, -(-len(keep) // _MAXIMA))]
     b, light, flat = b[keep], light[keep], flat[keep]
-    start, end = _segments(b, light, flat)
-    first, second, crossing = _crossings(start, end)
-    if len(crossing) == 0:
+    points, lams = [], []
+    for first, others, point in _crossings(*_segments(b, light, flat)):
+        points.append(point)
+        # Both segments of a crossing give a lam of their own.
+        for ends in (np.full_like(others, first), others):
+            lams.append(_lam(b[ends], light[ends], flat[ends], point))
+    if not points:
         raise Unsupported(
             "factorisation: no two diffuse maxima agree on the shape; more images or "
             'resolve="entropy" may help'
         )
-    # Both segments of a crossing give a lam of their own.
-    ends = np.concatenate([first, second])
-    center = np.median(crossing, axis=0)
-    lam = np.median(_lam(b[ends], light[ends], flat[ends], np.tile(crossing, (2, 1))))
+    center = np.median(np.concatenate(points), axis=0)
+    lam = np.median(np.concatenate(lams))
     return np.array([*center, max(lam, 1e-3)])
 
 
@@ -193,18 +200,22 @@ def _segments(
 
 def _crossings(
     start: np.ndarray, end: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs of segments that cross, and where: `[C]`, `[C]`, `[C, 2]`."""
-    i, j = np.triu_indices(len(start), 1)
-    p, d = start[i], end[i] - start[i]
-    q, e = start[j], end[j] - start[j]
-    area = d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]
-    safe = np.where(np.abs(area) < 1e-12, np.inf, area)
-    gap = q - p
-    s = (gap[:, 0] * e[:, 1] - gap[:, 1] * e[:, 0]) / safe
-    t = (gap[:, 0] * d[:, 1] - gap[:, 1] * d[:, 0]) / safe
-    hit = (s > 0) & (s < 1) & (t > 0) & (t < 1) & np.isfinite(safe)
-    return i[hit], j[hit], (p + s[:, None] * d)[hit]
+) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """A segment, the later ones that cross it `[C]`, and where `[C, 2]`.
+
+    Segment by segment: all pairs at once would need memory for their number.
+    """
+    steps = end - start
+    for first in range(len(start) - 1):
+        d, e = steps[first], steps[first + 1 :]
+        gap = start[first + 1 :] - start[first]
+        area = d[0] * e[:, 1] - d[1] * e[:, 0]
+        safe = np.where(np.abs(area) < 1e-12, np.inf, area)
+        s = (gap[:, 0] * e[:, 1] - gap[:, 1] * e[:, 0]) / safe
+        t = (gap[:, 0] * d[1] - gap[:, 1] * d[0]) / safe
+        hit = np.flatnonzero((s > 0) & (s < 1) & (t > 0) & (t < 1))
+        if len(hit):
+            yield first, first + 1 + hit, start[first] + s[hit, None] * d
 
 
 def _lam(
