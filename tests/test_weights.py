@@ -1,8 +1,5 @@
 """Weights files: round trip, refusals, the authors' names."""
 
-import errno
-from pathlib import Path
-
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
@@ -67,17 +64,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
     path.mkdir()
     with pytest.raises(InputError, match=r"small\.safetensors: expected a place"):
         save_weights(path, SMALL, {})
-    path.rmdir()
-
-    def fill_the_disk(self, data):
-        with self.open("wb") as file:
-            file.write(data[:10])
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", fill_the_disk)
-    with pytest.raises(InputError, match=r"No space left on device; free space"):
-        save_weights(path, SMALL, {})
-    assert not list(tmp_path.iterdir())
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_all_problems_are_named_at_once(tmp_path):

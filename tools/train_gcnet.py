@@ -27,6 +27,7 @@ from unips_jax.baselines.gcnet_lights import Logits, encode, light_errors, soft_
 from unips_jax.baselines.gcnet_model import GCNet, LightNet, NormalNet, with_lights
 from unips_jax.baselines.gcnet_weights import save_params
 from unips_jax.baselines.method import Lights
+from unips_jax.claims import write_whole
 from unips_jax.command import keep_compiled
 from unips_jax.scenes import LIGHT_KINDS, SceneConfig, render_batch
 
@@ -140,9 +141,7 @@ def train(steps: int, objects: int, seed: int, kept: Path) -> dict[str, Any]:
         if index % 50 == 49:
             mean = float(jnp.mean(jnp.stack(losses[-50:])))
             print(f"step {index + 1}/{steps}: loss {mean:.3f}", flush=True)
-            partial = kept.with_suffix(".new")
-            partial.write_bytes(to_bytes((params, state, index + 1)))
-            partial.replace(kept)
+            write_whole(kept, to_bytes((params, state, index + 1)))
     return params
 
 

@@ -1,10 +1,17 @@
-"""Claims on pieces of work that several processes share."""
+"""Claims on pieces of work that several processes share, and files put in place whole.
+
+Claims are `flock`s, which the operating system lets go when a process ends, however it
+ends.
+"""
 
 import contextlib
 import fcntl
+import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
+
+from unips_jax.command import InputError
 
 _T = TypeVar("_T")
 
@@ -46,3 +53,36 @@ def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:
     for item in others:
         with claim(lock(item), wait=True):
             yield item
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Writes a file that is complete or absent, whatever happens.
+
+    A temporary file of a fixed name beside it is written first, so a killed process
+    leaves at most one, which the next attempt overwrites. Two processes must not write
+    the same path at once; see `claim`.
+
+    Args:
+        path: the file; its folder is made if it is not there.
+        data: what goes into it.
+
+    Raises:
+        InputError: if it cannot be written; what was there before stays.
+    """
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected a place where it can be written, got: {error.strerror}; "
+            "free space there, or choose another"
+        ) from error

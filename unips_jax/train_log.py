@@ -10,6 +10,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from unips_jax.claims import write_whole
+
 
 class TrainLog:
     """Writes `metrics.jsonl` and prints, in the first process only."""
@@ -29,9 +31,7 @@ class TrainLog:
         if self._active and self._path.exists():
             lines = self._path.read_text().splitlines()
             kept = [line for line in lines if _step_of(line) <= first]
-            beside = self._path.with_suffix(".partial")
-            beside.write_text("".join(f"{line}\n" for line in kept))
-            beside.replace(self._path)
+            write_whole(self._path, "".join(f"{line}\n" for line in kept).encode())
 
     def metrics(self, step: int, values: Mapping[str, Any]) -> None:
         """Records the metrics of a step."""

@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 import re
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from unips_jax.claims import write_whole
 from unips_jax.command import InputError
 from unips_jax.config import ModelConfig, from_json, to_json
 from unips_jax.models.unips import UniPS
@@ -205,19 +205,7 @@ def save_weights(
         for name, array in flatten_dict(params, sep=".").items()
     }
     metadata = {"config": to_json(config), "record": json.dumps(dict(record or {}))}
-    path = Path(path)
-    data = save(arrays, metadata)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as place:
-            partial = Path(place) / path.name
-            partial.write_bytes(data)
-            partial.replace(path)
-    except OSError as error:
-        raise InputError(
-            f"{path}: expected a place where weights can be written, got: "
-            f"{error.strerror}; free space there, or choose another"
-        ) from error
+    write_whole(Path(path), save(arrays, metadata))
 
 
 def params_hash(config: ModelConfig, params: Params) -> str:

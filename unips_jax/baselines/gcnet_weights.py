@@ -18,6 +18,7 @@ import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from safetensors.numpy import save
 
+from unips_jax.claims import write_whole
 from unips_jax.command import InputError
 
 Network = Literal["gcnet", "ps_fcn", "lcnet"]
@@ -102,15 +103,15 @@ def save_params(path: Path | str, params: Mapping[str, Any], network: Network) -
     """Writes parameters to a safetensors file with the network's name inside.
 
     The file is complete or absent.
+
+    Raises:
+        InputError: if it cannot be written.
     """
     flat = {
         "/".join(key): np.ascontiguousarray(value)
         for key, value in flatten_dict(params).items()
     }
-    path = Path(path)
-    partial = path.with_name(path.name + ".part")
-    partial.write_bytes(save(flat, {"network": network}))
-    partial.replace(path)
+    write_whole(Path(path), save(flat, {"network": network}))
 
 
 def load_params(path: Path | str) -> tuple[dict[str, Any], Network]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from unips_jax.claims import claim, claimed
+from unips_jax.claims import claim, claimed, write_whole
 from unips_jax.command import InputError, track
 from unips_jax.cycles.assets import Job
 from unips_jax.cycles.blender_process import Blender, BlenderError
@@ -325,9 +325,7 @@ def _same_settings(path: Path, record: dict[str, Any]) -> None:
         )
     record = json.loads(json.dumps(record))
     if not path.exists():
-        beside = path.with_suffix(".partial")
-        beside.write_text(json.dumps(record, indent=1) + "\n")
-        beside.replace(path)
+        write_whole(path, (json.dumps(record, indent=1) + "\n").encode())
         return
     before = json.loads(path.read_text())
     changed = {

@@ -4,12 +4,13 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from unips_jax.claims import write_whole
 from unips_jax.evaluation.benchmarks import submission_bytes
 from unips_jax.evaluation.protocols import choose_images, show
 from unips_jax.evaluation.report import Exhibit, exhibit, report
 from unips_jax.evaluation.runner import Plan, Result
 from unips_jax.evaluation.sheets import Panel, sheet
-from unips_jax.evaluation.store import Store, slug, write_atomically
+from unips_jax.evaluation.store import Store, slug
 from unips_jax.evaluation.summary import TABLES, Results, Table
 from unips_jax.evaluation.tables import files_of
 
@@ -22,10 +23,9 @@ def write_tables(store: Store, tables: Sequence[Table]) -> Path:
     """
     folder = store.root / "tables"
     with store.claim("publish", wait=True):
-        folder.mkdir(exist_ok=True)
         files = files_of(tables)
         for name, data in files.items():
-            write_atomically(folder / name, data)
+            write_whole(folder / name, data)
         for name in {f"{table}.csv" for table in TABLES} - set(files):
             (folder / name).unlink(missing_ok=True)
     return folder
@@ -38,7 +38,6 @@ def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibi
         Each object's pictures for the report.
     """
     folder = store.root / "sheets"
-    folder.mkdir(exist_ok=True)
     for index, entry in enumerate(plan.benchmark.entries):
         own = [
             result
@@ -60,7 +59,7 @@ def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibi
         path = folder / f"{slug(entry.name)}-{digest}.png"
         with store.claim("publish", wait=True):
             if not path.is_file():
-                write_atomically(path, sheet(caption, case, panels))
+                write_whole(path, sheet(caption, case, panels))
             data = path.read_bytes()
         yield exhibit(entry.name, caption, data, case, panels)
 
@@ -78,7 +77,7 @@ def write_report(
     """
     path = store.root / "report.html"
     with store.claim("publish", wait=True):
-        write_atomically(path, report(results, tables, exhibits))
+        write_whole(path, report(results, tables, exhibits))
     return path
 
 
@@ -94,9 +93,8 @@ def write_submissions(store: Store, results: Results) -> Path:
             if result.count != results.main_count or result.unsupported:
                 continue
             target = folder / slug(result.label)
-            target.mkdir(parents=True, exist_ok=True)
             data = submission_bytes(store.normals(result.name))
-            write_atomically(target / f"{result.entry}.mat", data)
+            write_whole(target / f"{result.entry}.mat", data)
     return folder
 
 

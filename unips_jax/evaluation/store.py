@@ -1,10 +1,8 @@
 """A folder of results that several processes may fill together.
 
 Each result is a JSON file, put in place in one step after its normal map; it exists
-whole or not at all. Work is claimed with `flock` on a file per result, which the
-operating system lets go when a process ends, however it ends. Temporary files carry
-fixed names and are only written under the claim, so a killed process leaves at most one
-that the next attempt overwrites.
+whole or not at all. Work is claimed by a file per result, and files are only written
+under the claim; see `claims`.
 """
 
 import contextlib
@@ -20,7 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from unips_jax.claims import claim
+from unips_jax.claims import claim, write_whole
 from unips_jax.command import InputError
 
 
@@ -53,16 +51,6 @@ def code_hash(*places: str) -> str:
 def slug(text: str) -> str:
     """The text as part of a file's name."""
     return re.sub(r"[^A-Za-z0-9.+=-]+", "_", text).strip("_") or "_"
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Puts a file in place whole. The caller holds the claim on it."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
 
 
 class Store:
@@ -134,13 +122,15 @@ class Store:
             name: of the result.
             record: JSON values.
             normals: `[H, W, 3]`, unit or zero, kept as a 16-bit PNG, (n + 1) / 2.
+
+        Raises:
+            InputError: if it cannot be written.
         """
         path = self.path(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
         if normals is not None:
-            write_atomically(path.with_suffix(".png"), encode_normals(normals))
+            write_whole(path.with_suffix(".png"), encode_normals(normals))
         text = json.dumps(record, indent=1, sort_keys=True) + "\n"
-        write_atomically(path, text.encode())
+        write_whole(path, text.encode())
 
     def normals(self, name: str) -> np.ndarray:
         """A result's normal map, `[H, W, 3]`, float32.

@@ -1,0 +1,49 @@
+"""Files that are complete or absent."""
+
+import errno
+import os
+
+import numpy as np
+import pytest
+
+from unips_jax import claims
+from unips_jax.baselines.gcnet_weights import save_params
+from unips_jax.command import InputError
+from unips_jax.evaluation.store import Store
+from unips_jax.weights import ModelConfig, save_weights
+
+PARAMS = {"a": {"kernel": np.zeros(3, np.float32)}}
+WRITERS = {
+    "write_whole": lambda folder: claims.write_whole(folder / "a", b"data"),
+    "save_weights": lambda folder: save_weights(folder / "a", ModelConfig(), PARAMS),
+    "save_params": lambda folder: save_params(folder / "a", PARAMS, "lcnet"),
+    "commit": lambda folder: Store(folder).commit("a", {}, None),
+}
+
+
+def files(folder):
+    return {path.name for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_leaves_nothing(name, tmp_path, monkeypatch):
+    def fill(descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fill)
+        with pytest.raises(InputError, match=r"/a.*: No space left on device; free"):
+            WRITERS[name](tmp_path)
+    assert not files(tmp_path)
+    WRITERS[name](tmp_path)
+    assert len(files(tmp_path)) == 1
+
+
+def test_what_was_there_stays_until_the_new_is_whole(tmp_path, monkeypatch):
+    path = tmp_path / "deep" / "file"
+    claims.write_whole(path, b"old")
+    seen = []
+    monkeypatch.setattr(os, "fsync", lambda _: seen.append(path.read_bytes()))
+    claims.write_whole(path, b"new")
+    assert seen == [b"old"] and path.read_bytes() == b"new"
+    assert files(tmp_path) == {"file"}
