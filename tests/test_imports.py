@@ -12,3 +12,22 @@ def test_import_is_light():
         "assert not found, found"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_import_needs_no_fcntl():
+    """Windows has none; only claims on work need it."""
+    code = """
+import importlib, pathlib, sys
+sys.modules["fcntl"] = None
+from unips_jax.cli import COMMANDS
+from unips_jax.claims import claim
+from unips_jax.command import InputError
+for name in COMMANDS:
+    importlib.import_module(f"unips_jax.{name}")
+try:
+    with claim(pathlib.Path("lock")):
+        raise AssertionError("claimed without flock")
+except InputError as error:
+    assert "lock: expected a system with flock" in str(error)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

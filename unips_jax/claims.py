@@ -5,8 +5,8 @@ ends.
 """
 
 import contextlib
-import fcntl
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -26,7 +26,17 @@ def claim(lock: Path, *, wait: bool = False) -> Iterator[bool]:
 
     Yields:
         Whether it is ours.
+
+    Raises:
+        InputError: if the operating system has no `flock`.
     """
+    try:
+        import fcntl  # not on Windows, where all that needs no claim works
+    except ImportError:
+        raise InputError(
+            f"{lock}: expected a system with flock (Linux, macOS) to claim work, got "
+            f"{sys.platform}; on Windows run this in WSL"
+        ) from None
     with lock.open("ab") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
