@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from unips_jax import streaming
+from unips_jax.baselines.gcnet_weights import save_params
 from unips_jax.baselines.method import Lights
 from unips_jax.command import InputError
 from unips_jax.evaluation import methods, protocols
@@ -205,9 +206,33 @@ def test_gcnet_small_finds_the_lights_of_a_sphere():
     assert error(found.normals) < 10 < error(constant.run(images, mask))
 
 
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        ("gcnet:weights=GCNET", "add ,normals=woodham"),
+        ("lcnet:weights=LCNET,margin=3", "add ,normals=woodham"),
+        ("gcnet:weights=LCNET,normals=woodham", "expected the weights of gcnet, but"),
+        ("ps-fcn:weights=GCNET", "expected the weights of ps_fcn, but"),
+        ("gcnet:weights=GCNET,normals=LCNET", "expected the weights of ps_fcn, but"),
+        ("gcnet:weights=GCNET,normals=ps-fcn", "such as woodham, got 'ps-fcn'"),
+        ("gcnet:weights=GCNET,normals=no.file", "such as woodham, got 'no.file'"),
+        ("gcnet:weights=OTHER,normals=woodham", "cannot read the weights"),
+    ],
+)
+def test_what_gcnet_lacks_is_told_before_any_work(request_, message, tmp_path):
+    (tmp_path / "OTHER").write_bytes(b"of something else")
+    for network in ("gcnet", "lcnet"):
+        path = tmp_path / network.upper()
+        save_params(path, {"a": {"b": np.zeros(1)}}, network)
+    for name in ("GCNET", "LCNET", "OTHER"):
+        request_ = request_.replace(name, str(tmp_path / name))
+    with pytest.raises(InputError, match=message):
+        load_variants([request_], NO_WEIGHTS)
+
+
 def test_what_a_row_must_tell_is_in_its_label(tmp_path):
     weights = tmp_path / "mine.safetensors"
-    weights.touch()
+    save_params(weights, {"a": {"b": np.zeros(1)}}, "gcnet")
     request = f"gcnet:weights={weights},normals=woodham,per=stack"
     oracle, gcnet, _ = load_variants(["mpm:sign=oracle", request], NO_WEIGHTS)
     assert gcnet.label == "gcnet:weights=mine,normals=woodham,per=stack,norm=range01"

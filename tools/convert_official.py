@@ -93,6 +93,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         params = gcnet_weights.from_official(arrays, network)
         gcnet_weights.save_params(arguments.output, params, network)
         method = f"{network.replace('_', '-')}:weights={arguments.output}"
+        if network != "ps_fcn":  # it finds lights; least squares find the normals
+            method += ",normals=woodham"
         print(f"{arguments.output}: use it with --method {method}")
         return
     config, params = from_official(read_checkpoint(arguments.checkpoint))

@@ -34,14 +34,14 @@ class Baseline(NamedTuple):
         module: in `unips_jax.baselines`.
         factory: in that module; its keyword arguments are the method's options.
         fixed: options that the name stands for.
-        weights: whether it cannot run without the option `weights`.
+        network: whose weights the option `weights` must give; "" where it needs none.
     """
 
     about: str
     module: str
     factory: str
     fixed: Mapping[str, Any] = MappingProxyType({})
-    weights: bool = False
+    network: str = ""
 
 
 _SMALL = Path(__file__).parents[1] / "assets" / "gcnet_small.safetensors"
@@ -51,7 +51,7 @@ BASELINES: dict[str, Baseline] = {
         "GCNet (Chen et al., ECCV 2020), re-implemented, with the weights given: "
         "lights estimated, then normals by a calibrated method",
         *("gcnet", "gcnet"),
-        weights=True,
+        network="gcnet",
     ),
     "gcnet-small": Baseline(
         "GCNet architecture at half the width, our weights (tools/train_gcnet.py): "
@@ -63,13 +63,13 @@ BASELINES: dict[str, Baseline] = {
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
         "given: lights estimated, then normals by a calibrated method",
         *("gcnet", "lcnet"),
-        weights=True,
+        network="lcnet",
     ),
     "ps-fcn": Baseline(
         "PS-FCN (Chen et al., ECCV 2018), re-implemented, with the weights given; "
         "calibrated",
         *("gcnet", "ps_fcn"),
-        weights=True,
+        network="ps_fcn",
     ),
     "mpm": Baseline(
         "MPM-style: our reconstruction from the idea of Mo et al. (CVPR 2018); the "
@@ -224,12 +224,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     if name not in BASELINES:
         raise InputError(f"no method {name!r}; there are {', '.join(NAMES)}, classical")
     baseline = BASELINES[name]
-    weights = options.get("weights")
-    if (baseline.weights or "weights" in options) and not Path(str(weights)).is_file():
-        raise InputError(
-            f"method {request!r}: expected a file of weights, {name}:weights=FILE, got "
-            f"{weights!r}"
-        )
+    _check_files(request, name, options)
     oracle = options.get("sign") == "oracle"
     if oracle:
         del options["sign"]
@@ -237,7 +232,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     options = {**baseline.fixed, **options}
     hashed = {key: _file_hash(value) for key, value in options.items()}
     if "normals" in options:
-        options["normals"] = _calibrated(str(options["normals"]))
+        options["normals"] = _calibrated(request, str(options["normals"]))
     try:
         module = importlib.import_module(f"unips_jax.baselines.{baseline.module}")
         factory: Callable[..., Method] = getattr(module, baseline.factory)
@@ -276,10 +271,39 @@ def _is_file(value: Any) -> bool:
     return isinstance(value, str) and Path(value).is_file()
 
 
-def _calibrated(value: str) -> Method:
+def _check_files(request: str, name: str, options: Mapping[str, Any]) -> None:
+    """Refuses a method that would find out at the first object what it lacks."""
+    network, weights = BASELINES[name].network, options.get("weights")
+    if (network or "weights" in options) and not Path(str(weights)).is_file():
+        raise InputError(
+            f"method {request!r}: expected a file of weights, {name}:weights=FILE, got "
+            f"{weights!r}"
+        )
+    if network:
+        from unips_jax.baselines.gcnet_weights import load_params
+
+        found = load_params(str(weights))[1]
+        if found != network:
+            raise InputError(
+                f"method {request!r}: expected the weights of {network}, but {weights} "
+                f"holds those of {found}"
+            )
+    if network in ("gcnet", "lcnet") and "normals" not in options:
+        raise InputError(
+            f"method {request!r}: expected what makes the normals, a file of PS-FCN's "
+            "weights or a calibrated baseline, got nothing; add ,normals=woodham"
+        )
+
+
+def _calibrated(request: str, value: str) -> Method:
     """The method that finishes GCNet: PS-FCN's weights file, or a baseline's name."""
     if Path(value).is_file():
         return _baseline(f"ps-fcn:weights={value}", "ps-fcn", {"weights": value}).run
+    if value not in BASELINES or BASELINES[value].network:
+        raise InputError(
+            f"method {request!r}: expected as normals a file of PS-FCN's weights or a "
+            f"calibrated baseline such as woodham, got {value!r}"
+        )
     return _baseline(value, value, {}).run
 
 
