@@ -2,6 +2,7 @@
 
 import ast
 import json
+import tracemalloc
 from pathlib import Path
 
 import evaluation_data as data
@@ -91,6 +92,19 @@ def test_crop_keeps_zero_normals_zero_and_others_unit():
     length = np.linalg.norm(case.normals, axis=-1)
     assert set(np.round(length, 5).ravel()) == {0, 1}
     assert (length[case.mask] == 0).sum() > 50
+
+
+@pytest.mark.parametrize("protocol", [Protocol("native"), Protocol("crop", 64)])
+def test_images_are_held_once(protocol):
+    mask = np.zeros((64, 64), bool)
+    mask[4:60, 4:60] = True  # the crop is the whole image
+    item = item_of(np.ones((40, 64, 64, 3), np.uint8), mask)
+    tracemalloc.start()
+    case = protocols.show(item, protocol, range(40))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert case.images.shape == (40, 64, 64, 3)
+    assert peak < 1.3 * case.images.nbytes
 
 
 def test_focal_of_unknown_cameras_is_the_papers():

@@ -12,7 +12,7 @@ least half of it does. A box of 256 x 256 passes unchanged.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple
 
 import cv2
@@ -134,7 +134,8 @@ def show(
     if lights is not None:
         lights = Lights(lights.directions[chosen], lights.intensities[chosen])
     if protocol.name == "native":
-        images = np.stack([_unit_range(item.images[i]) for i in chosen])
+        shape = (len(chosen), *item.images.shape[1:])
+        images = _filled(shape, (_unit_range(item.images[i]) for i in chosen))
         return Case(images, item.mask, item.normals, lights, item.focal)
     box = square_box(item.mask)
     weight = _resize(_cut(item.mask, box).astype(np.float32), protocol.size)
@@ -150,13 +151,22 @@ def show(
         focal *= protocol.size / box.side
     elif crop_focal_ratio is not None:
         focal = crop_focal_ratio * protocol.size
+    shape = (len(chosen), *mask.shape, item.images.shape[-1])
     return Case(
-        np.stack([crop(_unit_range(item.images[i])) for i in chosen]),
+        _filled(shape, (crop(_unit_range(item.images[i])) for i in chosen)),
         mask,
         None if item.normals is None else _unit_length(crop(item.normals)),
         lights,
         focal,
     )
+
+
+def _filled(shape: tuple[int, ...], images: Iterable[np.ndarray]) -> np.ndarray:
+    """One array of the images; stacking a list would hold them twice."""
+    stack = np.empty(shape, np.float32)
+    for place, image in zip(stack, images, strict=True):
+        place[...] = image
+    return stack
 
 
 def _unit_range(image: np.ndarray) -> np.ndarray:
