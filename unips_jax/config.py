@@ -111,12 +111,16 @@ class ModelConfig:
             *("pma_mlp_dim", "predictor_dim"),
         )
         require_not_negative(self, "aggregation_layers", "observation_dim")
-        for name in ("patch_channels", "depths", "pool_scales"):
+        for name in ("patch_channels", "depths", "num_heads", "pool_scales"):
             values = getattr(self, name)
             require(
-                min(values, default=1) >= 1,
-                f"{name}: expected positive numbers, got {values}",
+                isinstance(values, tuple) and min(values, default=1) >= 1,
+                f"{name}: expected a tuple of positive numbers, got {values!r}",
             )
+        require(
+            len(self.patch_channels) == 2,
+            f"patch_channels: expected two widths, got {self.patch_channels}",
+        )
         require(
             self.canonical_size % 4 == 0,
             f"canonical_size: expected a multiple of 4, got {self.canonical_size}",
