@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import signal
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -14,7 +15,7 @@ from unips_jax.checkpoint import changed_fields
 from unips_jax.command import InputError
 from unips_jax.config import Config, DataConfig, MeshConfig, to_json
 from unips_jax.sharding import make_mesh
-from unips_jax.train import load_config
+from unips_jax.train import load_config, main
 from unips_jax.train_guards import (
     alone_in,
     check_finite,
@@ -138,3 +139,15 @@ def test_a_bad_configuration_file_is_named(tmp_path):
     )
     with pytest.raises(InputError, match=r"mine\.py: batch_size: expected a positive"):
         load_config(str(file))
+
+
+def test_fields_are_listed_without_a_folder(capsys):
+    tiny = str(Path(__file__).parents[1] / "configs" / "tiny.py")
+    with pytest.raises(SystemExit) as end:
+        main(["--config", tiny, "--fields"])
+    assert end.value.code == 0
+    assert "--optim.learning-rate" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as end:
+        main(["--config", tiny])
+    assert end.value.code == 2
+    assert "required: --workdir" in capsys.readouterr().err

@@ -278,20 +278,24 @@ def main(argv: Sequence[str] | None = None) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--config", required=True, help="file with get_config()")
-    parser.add_argument("--workdir", required=True, type=Path)
+    parser.add_argument("--workdir", type=Path, help="the run's folder")
     parser.add_argument("--init-weights", help="start a new run from these weights")
     parser.add_argument(
-        "--fields", action="store_true", help="list the configuration's fields"
+        "--fields",
+        action="store_true",
+        help="list the configuration's fields and end",
     )
     parser.add_argument(
         "--distributed", action="store_true", help="join the other processes first"
     )
     arguments, overrides = parser.parse_known_args(argv)
-    if arguments.distributed:
-        jax.distributed.initialize()
-    keep_compiled()
     if arguments.fields:
         overrides = ["--help"]
+    elif arguments.workdir is None:
+        parser.error("the following arguments are required: --workdir")
+    elif arguments.distributed:
+        jax.distributed.initialize()
+    keep_compiled()
     default = load_config(arguments.config)
     config = tyro.cli(Config, prog="unips train", default=default, args=overrides)
     start = time.monotonic()
