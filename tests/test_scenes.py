@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from unips_jax.metrics import angular_error_deg
+from unips_jax.render import describe
 from unips_jax.scenes import (
     SceneConfig,
     geometry,
@@ -16,6 +17,7 @@ from unips_jax.scenes import (
     shading,
     tracing,
 )
+from unips_jax.scenes import render as scenes_render
 
 CONFIG = SceneConfig()
 FLAT = {"twist": 0.0, "lathe": 0.0, "mirror": 0.0, "wave_warp": 0.0, "wave_ridge": 0.0}
@@ -243,6 +245,23 @@ def test_lambertian_sphere_under_a_directional_light(sphere):
         expected = 0.6 / np.pi * cosine
         np.testing.assert_allclose(image[inside], expected[inside], rtol=0.01)
         assert np.all(image[np.asarray(sphere.mask) & (cosine < 0)] == 0)
+
+
+def test_intensities_told_are_those_of_a_lambertian_surface(sphere, monkeypatch):
+    monkeypatch.setattr(scenes_render, "draw_surface", lambda *_: matt(sphere))
+    config = SceneConfig(sensor=False, interreflection=False)
+    scene = jax.jit(
+        lambda key: scenes_render.shade(
+            key, sphere, num_images=3, config=config, light_kind=0
+        )
+    )(jax.random.key(1))
+    facts = describe(scene)
+    cosine = np.einsum("hwk,nk->nhw", scene.normals, facts["light_directions"])
+    intensities = np.asarray(facts["light_intensities"])[:, None, None]
+    expected = 0.6 * intensities * np.maximum(cosine, 0)[..., None]
+    lit = cosine > 0.1
+    assert lit.sum() > 500
+    np.testing.assert_allclose(scene.images[lit], expected[lit], rtol=0.02)
 
 
 def test_light_from_the_left_brightens_slopes_that_face_left(sphere):

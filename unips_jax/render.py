@@ -3,6 +3,8 @@
 The folders follow PS-Wild-Test: one per object and lighting, with 16-bit linear
 images `L_*.png`, `mask.png`, and `normal.tif` (n = 2 v / 65535 - 1, x right, y up,
 z to the viewer, background 32768); `meta.json` says what was drawn.
+Under directional light it holds `light_directions` and `light_intensities`, such that a
+Lambertian surface appears as albedo x intensity x max(n . l, 0).
 `--engine cycles` renders with Blender Cycles instead, and has options of its own: see
 `unips render --engine cycles --help`.
 """
@@ -36,6 +38,7 @@ from unips_jax.scenes import (
 
 _FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
 LIGHTINGS = ("directional", "environment", "mixed")
+_CODE = ("scenes", "render.py")  # what the folders' contents follow from
 _FOLDER_CONFIG = SceneConfig(
     linear_rate=1.0, eight_bit_rate=0.0, blur_rate=0.0, mask_error_rate=0.0
 )
@@ -58,7 +61,9 @@ def describe(scene: Scene) -> dict[str, Any]:
         facts["focal"] = focal_mm / _FRAME_MM * scene.mask.shape[-1]
     if facts["light"] == "directional":
         facts["light_directions"] = np.asarray(scene.light_directions).tolist()
-        facts["light_intensities"] = np.asarray(scene.light_intensities).tolist()
+        # A Lambertian surface reflects its albedo / pi of the irradiance.
+        intensities = np.asarray(scene.light_intensities) / np.pi
+        facts["light_intensities"] = intensities.tolist()
     return facts
 
 
@@ -104,7 +109,7 @@ def render_folders(
         )
         scene = jax.tree.map(lambda leaf: leaf[0], batch)
         facts = {"seed": seed, "object": index, "size": size, **describe(scene)}
-        facts["code"] = code_hash("scenes")
+        facts["code"] = code_hash(*_CODE)
         photographs, mask, normals = map(
             np.asarray, (scene.images, scene.mask, scene.normals)
         )
@@ -123,7 +128,7 @@ def _is_there(folder: Path, options: dict[str, int]) -> bool:
             f"{folder}: expected a folder of {options}, got one of {found}; choose "
             "another -o, or the same options"
         )
-    if facts.get("code") != code_hash("scenes"):
+    if facts.get("code") != code_hash(*_CODE):
         raise InputError(
             f"{folder}: expected scenes of this version of unips_jax, got those of "
             "another; choose another -o"
