@@ -112,6 +112,30 @@ def test_a_set_is_what_the_readers_read(stand_in, tmp_path):
     assert meta["versions"] == {"blender": "stand-in"} and len(meta["lights"]) == 2
 
 
+def test_intensities_told_are_those_of_a_lambertian_surface():
+    """Cycles does give irradiance / pi, see `test_cycles_blender`."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 24), np.linspace(1, -1, 24))
+    mask = x**2 + y**2 < 0.9
+    normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], -1)
+
+    class Matt:
+        def picture(self, what, *, lamps, **_):
+            cosine = np.maximum(normals @ lamps[0]["direction"], 0)
+            light = np.array(lamps[0]["irradiance"]) / np.pi
+            channels = {c: 0.6 * light[i] * cosine for i, c in enumerate("RGB")}
+            return channels | {"A": np.ones_like(x)}
+
+    job = assets.drawn_jobs(1, 5)[0]
+    photographs = run._Photographs(Matt(), job, "directional", SETTINGS)
+    images = list(photographs.render(mask))
+    facts = photographs.told()
+    for image, direction, intensity in zip(
+        images, facts["light_directions"], facts["light_intensities"], strict=True
+    ):
+        cosine = np.maximum(normals @ direction, 0)[mask][:, None]
+        np.testing.assert_allclose(image[mask], 0.6 * np.array(intensity) * cosine)
+
+
 def test_training_sets_have_the_training_names(stand_in, tmp_path):
     arguments = ["--preset", "train", "--objects", "1", "--images", "2"]
     more = ["--size", "24", "--lightings", "near", "--sheet", str(tmp_path / "s.png")]
