@@ -1,17 +1,21 @@
 """The tools: converter, benchmark, Blender's setup, training of GCNet."""
 
+import dataclasses
 import runpy
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
+from flax.traverse_util import flatten_dict
+from small_networks import SMALL
 from test_baselines_gcnet import made_up
 from test_official_parity import official_arrays
 
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
-from unips_jax.weights import load_weights
+from unips_jax.weights import load_weights, random_weights
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 
@@ -81,6 +85,31 @@ def test_benchmark_refuses_what_it_would_ignore(capsys):
     assert len(errors) == 2
     assert "--size 64: with --train" in errors[0]
     assert "--objects 2: expected --train" in errors[1]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"attention": "released"},
+        {"observation_dim": 5},
+        {"context_dim": SMALL.hidden_dim - 3},
+        {"aggregation": "max"},
+        {"aggregation_layers": 0, "context_dim": SMALL.hidden_dim - 3},
+    ],
+)
+def test_benchmark_counts_every_layer_of_the_decoder(changes):
+    count = runpy.run_path(str(TOOLS / "benchmark.py"))["decoder_operations"]
+    config = dataclasses.replace(SMALL, **changes)
+    shapes = jax.eval_shape(lambda: random_weights(config))["decoder"]
+    kernels = {
+        name: kernel.size
+        for name, kernel in flatten_dict(shapes, sep=".").items()
+        if name.endswith("kernel")
+    }
+    once = ("fc1", "fc2", "pooling.query", "pooling.out", "pooling.mlp")  # per pixel
+    each = [size for name, size in kernels.items() if not name.startswith(once)]
+    assert count(config) == 2 * sum(each)
 
 
 @pytest.mark.parametrize(("platform", "unit"), [("darwin", 1e9), ("freebsd", 1e6)])

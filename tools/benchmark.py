@@ -41,15 +41,24 @@ _ROWS = 4096
 
 
 def decoder_operations(config: ModelConfig) -> float:
-    """Multiplications and additions of the plain decoder, per pixel and image."""
+    """Multiplications and additions of the plain decoder, per pixel and image.
+
+    Those of its linear layers; what is done once per pixel, or grows with the square
+    of the images, is left out.
+    """
     total, width = 0.0, 3 + config.context_dim
+    if config.observation_dim:  # from three times RGB to scale and shift
+        total += config.observation_dim * (9 + 2 * config.context_dim)
     for _ in range(config.aggregation_layers):
         total += 3 * width * config.hidden_dim
         total += 2 * config.hidden_dim * config.aggregation_mlp_dim
         if config.attention == "pre_norm":
             total += config.hidden_dim**2
+            if width != config.hidden_dim:  # the residual's projection
+                total += width * config.hidden_dim
         width = config.hidden_dim
-    total += 2 * config.hidden_dim**2  # keys and values of the pooling
+    if config.aggregation == "pma":  # keys and values
+        total += 2 * width * config.hidden_dim
     return 2 * total
 
 
