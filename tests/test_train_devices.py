@@ -1,7 +1,9 @@
 """Training on several devices and in several processes."""
 
 import dataclasses
+import re
 import socket
+import time
 
 import numpy as np
 import pytest
@@ -30,13 +32,37 @@ def test_eight_devices_agree_with_one(single, tmp_path, fsdp):
 
 def test_two_processes_agree_with_one(single, tmp_path):
     config, whole = single
+    for process in start_pair(tmp_path, config):
+        finish(process)
+    assert_close(final_params(tmp_path), final_params(whole))
+
+
+@pytest.mark.slow
+def test_sigterm_to_one_process_stops_both(single, tmp_path):
+    config, _ = single
+    steps = dataclasses.replace(config.train, steps=100_000, checkpoint_every=99_999)
+    pair = start_pair(tmp_path, dataclasses.replace(config, train=steps))
+    log = tmp_path / "metrics.jsonl"
+    try:
+        while pair[0].poll() is None and not (log.exists() and log.read_text()):
+            time.sleep(0.05)
+        pair[1].terminate()
+        errors = [process.communicate(timeout=60)[1] for process in pair]
+    finally:
+        for process in pair:
+            process.kill()
+            process.communicate()
+    assert [process.returncode for process in pair] == [0, 0], errors
+    done = re.search(r"stopped by SIGTERM after step (\d+)", errors[0])
+    assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == [done[1]]
+
+
+def start_pair(workdir, config):
+    """Starts a run in two processes on this machine."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{probe.getsockname()[1]}"
-    pair = [start(tmp_path, config, "2", address, str(i)) for i in range(2)]
-    for process in pair:
-        finish(process)
-    assert_close(final_params(tmp_path), final_params(whole))
+    return [start(workdir, config, "2", address, str(i)) for i in range(2)]
 
 
 def assert_close(actual, expected):

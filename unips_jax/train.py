@@ -37,6 +37,7 @@ from unips_jax.sharding import (
 )
 from unips_jax.train_guards import (
     alone_in,
+    any_process,
     check_finite,
     check_input,
     stop_on_sigterm,
@@ -65,7 +66,7 @@ def train(
         init_weights: weights to start a new run from.
 
     Returns:
-        The state after the last step, or at SIGTERM.
+        The state after the last step, or at SIGTERM to any of the processes.
 
     Raises:
         InputError: if the folder holds a run with another configuration (other than
@@ -119,7 +120,8 @@ def train(
                 recent.clear()
             done = step == config.train.steps
             validates = done or step % config.train.validate_every == 0
-            stopping = stop.is_set()
+            # All stop after the same step: alone, a process would wait for the rest.
+            stopping = any_process(stop.is_set())
             saves = done or stopping or step % config.train.checkpoint_every == 0
             if validates or saves:
                 check_finite(*pending, workdir)

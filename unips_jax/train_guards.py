@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from jax.experimental import multihost_utils
 from jax.sharding import Mesh
 
 from unips_jax.claims import claim
@@ -75,6 +76,17 @@ def stop_on_sigterm() -> Iterator[threading.Event]:
         yield stop
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def any_process(flag: bool) -> bool:
+    """Whether any process says so; all get the same answer, and wait for each other.
+
+    Args:
+        flag: what this process says.
+    """
+    if jax.process_count() == 1:
+        return flag
+    return bool(multihost_utils.process_allgather(np.asarray(flag)).any())
 
 
 def check_finite(
