@@ -2,12 +2,15 @@
 
 import itertools
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from evaluation_data import encode16, to16, write_image
 from training_runs import write_objects
 
 from unips_jax.data import pipeline
+from unips_jax.data.sources import PSWildFolders, read_object
 
 OPTIONS = {"size": 16, "batch_size": 4, "num_images": (2, 3), "seed": 5}
 
@@ -64,3 +67,67 @@ def test_few_batches_are_read_ahead(root, monkeypatch):
     time.sleep(0.3)
     # Threads of other tests may still be reading, at another size.
     assert sizes.count(8) <= 8 * OPTIONS["batch_size"]
+
+
+RIGHT, UP, FRONT = [0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1]
+
+
+@pytest.fixture
+def quarters(tmp_path):
+    """Photographs of 4 x 4 pixels: 4, 3, 1 and 4 of each quarter on the object."""
+    normals = np.zeros((4, 4, 3))
+    normals[:2, :2] = RIGHT
+    normals[:2, 2:] = UP
+    normals[2:, 2:] = [[UP, FRONT], [UP, FRONT]]
+    normals[1, 3] = 0
+    normals[2, 0] = FRONT
+    folder = tmp_path / "x.data"
+    write_image(folder / "normal.tif", encode16(normals))
+    ramp = np.arange(16).reshape(4, 4, 1) / 20
+    write_image(folder / "000.tif", to16(ramp * [0.5, 1.0, 0.25]))
+    write_image(folder / "L01.png", (10 * ramp[..., 0] * 20).astype(np.uint8))
+    write_image(folder / "L02.tif", to16(0 * ramp + [0.1, 0.2, 0.3]))
+    write_image(folder / "baseColor.tif", to16(np.ones((4, 4, 3))))
+    (files,) = PSWildFolders(tmp_path, min_images=3)
+    return files
+
+
+def test_an_object_is_averaged_over_its_own_pixels(quarters):
+    found = read_object(quarters, np.array([2, 0]), 2)
+    np.testing.assert_array_equal(found["mask"], [[True, True], [False, True]])
+    np.testing.assert_allclose(found["images"][0, 0, 1], [0.1, 0.2, 0.3], atol=1e-5)
+    # Means of the pixels 0, 1, 4, 5; of 2, 3, 6; and of 10, 11, 14, 15.
+    means = np.array([[2.5, 11 / 3], [0, 12.5]])[..., None] / 20
+    np.testing.assert_allclose(found["images"][1], means * [0.5, 1.0, 0.25], atol=1e-5)
+    between = np.array([0, 0.3, 0.9]) / np.hypot(0.3, 0.9)
+    expected = [[RIGHT, UP], [[0, 0, 0], between]]
+    np.testing.assert_allclose(found["normals"], expected, atol=1e-4)
+
+
+def test_an_object_at_its_own_size_is_read_as_it_is(quarters):
+    found = read_object(quarters, np.array([1, 0]), 4)
+    mask = found["mask"]
+    assert mask.sum() == 12 and not mask[1, 3] and mask[2, 0]
+    grey, colour = found["images"] * 20
+    expected = np.arange(16).reshape(4, 4, 1) * mask[..., None]
+    np.testing.assert_allclose(grey, np.tile(expected * 200 / 255, 3), atol=1e-4)
+    np.testing.assert_allclose(colour, expected * [0.5, 1.0, 0.25], atol=1e-3)
+    np.testing.assert_allclose(found["normals"][2, 2:], [UP, FRONT], atol=1e-4)
+
+
+def test_photographs_are_drawn_anew_for_every_object_without_repetition(root):
+    known = {}
+    for number, files in enumerate(PSWildFolders(Path(root), min_images=4)):
+        images = read_object(files, np.arange(4), 16)["images"]
+        known |= {image.tobytes(): (number, i) for i, image in enumerate(images)}
+    assert len(known) == 20
+    drawn = []
+    for batch in read(root, 5, num_images=(3,)):
+        found = [[known[x.tobytes()] for x in images] for images in batch["images"]]
+        for images in found:
+            assert len(set(images)) == 3
+            assert len({number for number, _ in images}) == 1
+        drawn.append([tuple(i for _, i in images) for images in found])
+    # Of 24 orders each.
+    assert all(len(set(orders)) > 1 for orders in drawn)
+    assert len(set(sum(drawn, []))) > 10
