@@ -248,20 +248,24 @@ def test_lambertian_sphere_under_a_directional_light(sphere):
 
 
 def test_intensities_told_are_those_of_a_lambertian_surface(sphere, monkeypatch):
-    monkeypatch.setattr(scenes_render, "draw_surface", lambda *_: matt(sphere))
+    albedo = np.array([0.6, 0.4, 0.2], np.float32)
+    surface = matt(sphere)._replace(base_color=jnp.tile(albedo[:, None], 32 * 32))
+    monkeypatch.setattr(scenes_render, "draw_surface", lambda *_: surface)
     config = SceneConfig(sensor=False, interreflection=False)
     scene = jax.jit(
         lambda key: scenes_render.shade(
             key, sphere, num_images=3, config=config, light_kind=0
         )
     )(jax.random.key(1))
-    facts = describe(scene)
-    cosine = np.einsum("hwk,nk->nhw", scene.normals, facts["light_directions"])
-    intensities = np.asarray(facts["light_intensities"])[:, None, None]
-    expected = 0.6 * intensities * np.maximum(cosine, 0)[..., None]
-    lit = cosine > 0.1
-    assert lit.sum() > 500
-    np.testing.assert_allclose(scene.images[lit], expected[lit], rtol=0.02)
+    facts, scene = describe(scene), jax.tree.map(np.asarray, scene)
+    intensities = np.asarray(facts["light_intensities"])
+    assert np.ptp(intensities, axis=0).min() > 0.03
+    cosine = np.einsum("hwc,nc->nhw", scene.normals, facts["light_directions"])
+    expected = albedo * cosine[..., None] * intensities[:, None, None]
+    lit = scene.mask & (cosine > 0.1)
+    assert lit.sum((1, 2)).min() > 200
+    np.testing.assert_allclose(scene.images[lit], expected[lit], rtol=0.01)
+    assert np.all(scene.images[scene.mask & (cosine < 0)] == 0)
 
 
 def test_light_from_the_left_brightens_slopes_that_face_left(sphere):
