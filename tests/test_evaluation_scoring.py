@@ -17,7 +17,7 @@ from unips_jax.evaluation import methods, protocols
 from unips_jax.evaluation.benchmarks import Item
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.protocols import Box, Protocol
-from unips_jax.evaluation.scores import from_json, score
+from unips_jax.evaluation.scores import best_signs, from_json, score
 
 NO_WEIGHTS = UnipsOptions(())
 
@@ -143,26 +143,39 @@ def test_protocol_is_checked():
 
 
 def test_score_by_hand():
-    true = data.tilted(0, 10, 20, 40, 80, 100, 0)
+    true = data.tilted(0, 10, 20, 40, 80, 100, 0, 15.1, 44.9, 0, 7)
     true[0, 6] = 0
-    estimate = data.tilted(0, 14, 30, 65, 40, 100, 5)
+    estimate = data.tilted(0, 14, 30, 65, 40, 100, 5, 26.5, 56.0, 178.6, 7)
     estimate[0, 5] = np.nan
-    mask = np.ones((1, 7), bool)
+    estimate[0, 10] = 0
+    mask = np.ones((1, 11), bool)
     found = score(estimate.astype(np.float32), true.astype(np.float32), mask)
-    errors = [0, 4, 10, 25, 40, 90, 90]
-    assert found.pixels == 7
+    errors = [0, 4, 10, 25, 40, 90, 90, 11.4, 11.1, 178.6, 90]
+    assert found.pixels == 11
     assert found.mae == pytest.approx(np.mean(errors), abs=1e-4)
     assert found.median == pytest.approx(25, abs=1e-4)
-    shares = [100 * n / 7 for n in (2, 3, 3, 4)]
+    shares = [100 * n / 11 for n in (2, 4, 5, 6)]  # below 5, 11.25, 22.5, 30 degrees
     np.testing.assert_allclose(found.within, shares)
-    assert sum(found.histogram) == 7 and len(found.histogram) == 180
-    assert found.histogram[90] == 2 and found.histogram[0] == 1
+    assert found.histogram[90] == 3 and found.histogram[178] == 1
+    assert sum(found.histogram) == 11 and len(found.histogram) == 180
+    assert found.histogram[11] == 2
     # The true normal of zero length is 90 degrees from the viewer: the last bin.
-    assert found.view_pixels == (2, 1, 1, 0, 0, 3)
-    np.testing.assert_allclose(found.view_sums, (4, 10, 25, 0, 0, 220), atol=1e-3)
-    assert (found.zero_truth, found.invalid) == (1, 1)
+    assert found.view_pixels == (4, 2, 2, 0, 0, 3)
+    sums = (4 + 178.6 + 90, 21.4, 36.1, 0, 0, 220)
+    np.testing.assert_allclose(found.view_sums, sums, atol=1e-3)
+    assert (found.zero_truth, found.invalid) == (1, 2)
     again = from_json(json.loads(json.dumps(found._asdict())))
     assert again == found
+
+
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, 1), (-1, -1, 1), (1, -1, -1)])
+def test_best_signs_are_those_closest_on_the_object(signs):
+    mask, normals = data.sphere(24, 24, radius=6)
+    around = np.array([0.6, 0.64, 0.48])  # which other signs would suit
+    estimate = np.where(mask[..., None], normals * signs, around)
+    true = np.where(mask[..., None], normals, -around * signs)
+    found = best_signs(estimate.astype(np.float32), true, mask)
+    np.testing.assert_allclose(found[mask], normals[mask], atol=1e-6)
 
 
 def test_score_counts_only_the_mask():
