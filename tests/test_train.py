@@ -91,31 +91,35 @@ def test_accumulated_step_is_the_step():
     np.testing.assert_allclose(one["grad_norm"], four["grad_norm"], rtol=1e-4)
 
 
-def test_augmentation_keeps_shading():
-    """n . l stays right under one light once the light turns with the normals."""
-    scene = {k: v[0] for k, v in batch(1).items()}
-    light = np.linalg.lstsq(
-        np.asarray(scene["normals"][scene["mask"]]),
-        np.asarray(scene["images"][0][scene["mask"]][:, 0]),
-        rcond=None,
-    )[0]
-    seen = set()
-    for seed in range(40):
-        images, mask, normals = augment(
-            scene["images"], scene["mask"], scene["normals"], jax.random.key(seed)
-        )
-        fitted, residual = np.linalg.lstsq(
-            np.asarray(normals[mask]), np.asarray(images[0][mask][:, 0]), rcond=None
-        )[:2]
-        plain = np.linalg.lstsq(
-            np.asarray(scene["normals"][scene["mask"]]),
-            np.asarray(scene["images"][0][scene["mask"]][:, 0]),
-            rcond=None,
-        )[1]
-        np.testing.assert_allclose(residual, plain, rtol=1e-3, atol=1e-6)
-        seen.add(tuple(np.round(fitted, 3)))
-        np.testing.assert_allclose(abs(fitted[2]), abs(light[2]), rtol=1e-4)
-    assert len(seen) == 8  # two flips and a transposition
+def test_augmented_normals_stay_those_of_the_surface():
+    """Images show the height of a plane: its slopes say what its normal must be."""
+    row, column = np.mgrid[:5, :5]
+    normal = np.array([0.2, 0.5, 0.8], np.float32)  # x right, y up
+    height = 10 - (normal[0] * column - normal[1] * row) / normal[2]
+    images = np.stack(3 * [height])[..., None] * np.array([1, 2, 4], np.float32)
+    mask = height > 10.2
+    # Longer where the plane is higher, so that every pixel differs.
+    scene = images, mask, height[..., None] * normal
+    many = jax.jit(jax.vmap(augment, (None, None, None, 0)))
+    keys = jax.random.split(jax.random.key(0), 200)
+    turns, orders = [], []
+    for images, mask, normals in zip(*map(np.asarray, many(*scene, keys)), strict=True):
+        factors = images / images.min(-1, keepdims=True)
+        orders += [tuple(each[0, 0].round().astype(int)) for each in factors]
+        found = images.min(-1)
+        np.testing.assert_allclose(found, np.stack(3 * [found[0]]), rtol=1e-6)
+        np.testing.assert_array_equal(mask, found[0] > 10.2)
+        unit = normals / found[0][..., None]
+        np.testing.assert_allclose(unit, np.broadcast_to(unit[0, 0], unit.shape), 1e-5)
+        down, right = (slope.mean() for slope in np.gradient(found[0]))
+        expected = 0.8 * np.array([-right, down, 1])
+        np.testing.assert_allclose(unit[0, 0], expected, atol=1e-4)
+        turns.append(tuple(unit[0, 0].round(2)))
+    # Two flips and a transposition, and of six orders of colours half the plain one.
+    assert min(turns.count(turn) for turn in set(turns)) > 200 / 8 / 3
+    assert (len(set(turns)), len(set(orders))) == (8, 6)
+    assert orders.count((1, 2, 4)) / 600 == pytest.approx(1 / 2 + 1 / 12, abs=0.08)
+    assert len({tuple(orders[i : i + 3]) for i in range(0, 600, 3)}) > 50
 
 
 def test_nonfinite_loss_saves_the_batch(tmp_path, monkeypatch):
