@@ -3,10 +3,13 @@
 import dataclasses
 
 import numpy as np
+import pytest
+from evaluation_data import tilted
 from small_networks import SMALL, lively_weights
 
+from unips_jax import validation
 from unips_jax.config import Config, DataConfig, TrainConfig
-from unips_jax.scenes import SceneConfig
+from unips_jax.scenes import Scene, SceneConfig
 from unips_jax.train_log import TrainLog
 from unips_jax.validation import validate, validation_pictures
 
@@ -43,3 +46,40 @@ def test_scores_groups_and_pictures(tmp_path):
     log.pictures(7, pictures)
     assert seen[0][0] == "validation/scene0"
     assert seen[0][2:] == (7, {"dataformats": "HWC"})
+
+
+def test_scores_by_hand(monkeypatch):
+    """Means over each scene's object first, then over scenes."""
+
+    def scene(true, estimate, light, shape, material, focal):
+        mask = np.array([[True] * (len(true) - 1) + [False]])
+        images = lights = np.zeros(0)
+        kinds = [np.int32(kind) for kind in (light, shape, material)]
+        scene = Scene(
+            *(images, mask, tilted(*true), *kinds, np.float32(focal), lights, lights)
+        )
+        return scene, 3 * tilted(*estimate)
+
+    held_out = [
+        scene((0, 10, 20, 0), (10, 10, 25, 80), 0, 2, 5, 0),  # 10, 0 and 5
+        scene((40, 0), (70, 80), 0, 6, 5, 50),
+        scene((-30, 30, 0), (-10, 10, 80), 4, 2, 0, 50),
+    ]
+    monkeypatch.setattr(validation, "estimate_held_out", lambda *_, **__: held_out)
+    options = {"count": 3, "num_images": 2, "size": 8}
+    scores = validate(None, CONFIG.model, SceneConfig(), **options)
+    assert scores == pytest.approx(
+        {
+            "mae": (5 + 30 + 20) / 3,
+            "constant": (10 + 40 + 30) / 3,
+            "light/directional": (5 + 30) / 2,
+            "light/area": 20,
+            "shape/machine": (5 + 20) / 2,
+            "shape/plate": 30,
+            "material/metal": (5 + 30) / 2,
+            "material/fabric": 20,
+            "camera/orthographic": 5,
+            "camera/perspective": (30 + 20) / 2,
+        },
+        rel=1e-4,
+    )
