@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from unips_jax.baselines import variational as module
 from unips_jax.baselines import variational_descent as descent
 from unips_jax.baselines import variational_grid as grid
 from unips_jax.baselines import variational_model as model
@@ -17,6 +18,7 @@ from unips_jax.baselines.variational import (
     make_problem,
     variational,
 )
+from unips_jax.baselines.variational_model import Energy
 from unips_jax.metrics import mean_angular_error_deg
 
 
@@ -198,16 +200,35 @@ def test_options_change_what_they_should():
     assert errors[1] < errors[0]
 
 
-def test_automatic_volume_keeps_the_lowest_energy():
-    images, mask, _, _ = bumpy(32, perspective=True)
-    radius = np.sqrt(mask.sum() / np.pi)
-    found = variational(volume="auto", iterations=3)(images, mask, focal=32.0)
-    sizes = [share * radius for share in (0.1, 0.2, 0.3)]
-    runs = [
-        variational(volume=size, iterations=3)(images, mask, focal=32.0)
-        for size in sizes
-    ]
-    assert any(np.array_equal(found, run) for run in runs)
+@pytest.mark.parametrize(
+    ("energies", "kept"),
+    [
+        (((5, 1), (2, 3), (1, 5)), 1),  # not the lowest of either part alone
+        (((5, 1), (6, 3), (1, 4)), 2),
+        (((1, 0), (2, 3), (1, 5)), 0),
+        (((np.nan, 0), (9, 9), (1, np.inf)), 1),
+    ],
+)
+def test_automatic_volume_keeps_the_lowest_final_energy(monkeypatch, energies, kept):
+    mask = np.zeros((12, 12), bool)
+    mask[2:10, 2:10] = True
+    images = np.ones((3, 12, 12, 3), np.float32)
+    volumes = []
+
+    def solve(problem, volume, **_):
+        photometric, smoothness = energies[len(volumes)]
+        normals = np.full((3, 12, 12), [[[len(volumes)]], [[0]], [[-1]]])
+        volumes.append(volume)
+        # Neither how it began nor the other energies have a say.
+        trace = [Energy(-len(volumes), 0, 0, 0)]
+        trace += [Energy(photometric, -9 * len(volumes), smoothness, 9)]
+        return descent.Result(None, normals, trace)
+
+    monkeypatch.setattr(module, "solve", solve)
+    monkeypatch.setattr(module, "initial_depth", lambda _, volume: volume)
+    found = variational(volume="auto", camera="orthographic")(images, mask)
+    np.testing.assert_allclose(volumes, np.array([0.1, 0.2, 0.3]) * 8 / np.pi**0.5)
+    np.testing.assert_allclose(found[mask][:, 0], kept / np.hypot(1, kept), rtol=1e-6)
 
 
 def test_hemisphere_fits_a_sphere_from_its_silhouette():
