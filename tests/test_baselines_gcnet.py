@@ -178,6 +178,66 @@ def test_case_f_classes(golden):
     assert_close(back[:, 0], golden["f_ints_back"], TIGHT, "f_ints_back")
 
 
+def test_kernels_lie_the_right_way_round():
+    """What one bright pixel becomes, by the definition of either convolution."""
+    dot = np.zeros((1, 3, 3, 1), np.float32)
+    dot[0, 1, 1] = 1
+    weight = np.arange(1.0, 33, dtype=np.float32).reshape(1, 2, 4, 4)  # in, out
+    kernel = gcnet_weights._convert(weight, transposed=True)
+    found = model.Deconv(2).apply({"params": {"conv": {"kernel": kernel}}}, dot)
+    # y[2 i - 1 + k] = x[i] w[k]: the weight itself about the pixel.
+    expected = np.pad(np.moveaxis(weight[0], 0, -1), ((1, 1), (1, 1), (0, 0)))
+    np.testing.assert_allclose(found[0], expected)
+    weight = np.arange(1.0, 19, dtype=np.float32).reshape(2, 1, 3, 3)  # out, in
+    kernel = gcnet_weights._convert(weight, transposed=False)
+    layer = {"conv": {"kernel": kernel, "bias": np.array([0, -100], np.float32)}}
+    found = model.Conv(2).apply({"params": layer}, dot)
+    # y[i] = x[i - 1 + k] w[k]: the weight upside down; LeakyReLU leaves a tenth.
+    np.testing.assert_allclose(found[0, ..., 0], weight[0, 0, ::-1, ::-1])
+    expected = 0.1 * (weight[1, 0, ::-1, ::-1] - 100)
+    np.testing.assert_allclose(found[0, ..., 1], expected, rtol=1e-6)
+
+
+def test_classes_are_read_at_their_centres():
+    middle = np.sqrt(0.5)  # 45 degrees: between the classes 26 and 27
+    azimuth = np.array([0, 17.5, 26.5, 17.5, 35])
+    elevation = np.array([17.5, 17.5, 17.5, 26.5, 35])
+    intensity = np.array([0, 9.5, 19, 4, 1])
+    directions, intensities = gcnet_lights.decode(azimuth, elevation, intensity)
+    lean, stand = np.sin(np.deg2rad(87.5)), np.cos(np.deg2rad(87.5))
+    expected = [
+        *([-lean, 0, stand], [0, 0, 1], [middle, 0, middle], [0, middle, middle]),
+        [stand * lean, lean, stand * stand],
+    ]
+    np.testing.assert_allclose(directions, expected, atol=1e-6)
+    np.testing.assert_allclose(intensities[:, 0], [0.245, 1.1, 1.955, 0.605, 0.335])
+    # Every centre belongs to its class.
+    every = np.arange(36)
+    directions, _ = gcnet_lights.decode(every, every[::-1], 0)
+    _, intensities = gcnet_lights.decode(0, 0, every[:20])
+    found = gcnet_lights.encode(directions, np.ones(36))
+    np.testing.assert_array_equal(found[0], every)
+    np.testing.assert_array_equal(found[1], every[::-1])
+    _, _, found = gcnet_lights.encode(np.array([0.0, 0, 1]), intensities[:, 0])
+    np.testing.assert_array_equal(found, every[:20])
+
+
+def test_soft_lights_expect_and_hard_lights_choose():
+    logits = np.full((3, 36), -50.0)
+    logits[0, [20, 22]] = np.log([1, 3])  # 21.5 expected
+    logits[1, [4, 8]] = np.log([1, 3])  # 7 expected
+    logits[2, [0, 10]] = np.log([1, 3])  # 7.5 expected
+    given = gcnet_lights.Logits(logits[0], logits[1], logits[2, :20], np.zeros(0))
+    for read, classes in (
+        (soft_lights, (21.5, 7, 7.5)),
+        (gcnet_lights.hard_lights, (22, 8, 10)),
+    ):
+        for found, expected in zip(
+            read(given), gcnet_lights.decode(*classes), strict=True
+        ):
+            np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
 def test_counts_of_parameters(params):
     def count(tree):
         return sum(leaf.size for leaf in jax.tree.leaves(tree))
