@@ -11,10 +11,11 @@ import jax
 import numpy as np
 import pytest
 
-from unips_jax.checkpoint import changed_fields
+from unips_jax import train
+from unips_jax.checkpoint import Checkpoints, changed_fields
 from unips_jax.command import InputError
 from unips_jax.config import Config, DataConfig, MeshConfig, to_json
-from unips_jax.sharding import make_mesh
+from unips_jax.sharding import make_mesh, replicated
 from unips_jax.train import load_config, main
 from unips_jax.train_guards import (
     alone_in,
@@ -26,6 +27,7 @@ from unips_jax.train_log import TrainLog
 
 CONFIG = Config(data=DataConfig(source="mixture", root="a", batch_size=8))
 MESH = make_mesh(MeshConfig(data=1))
+SHARDING = replicated(MESH)
 
 
 def altered(part, **fields):
@@ -151,3 +153,37 @@ def test_fields_are_listed_without_a_folder(capsys):
         main(["--config", tiny])
     assert end.value.code == 2
     assert "required: --workdir" in capsys.readouterr().err
+
+
+def test_the_newest_checkpoints_are_kept(tmp_path):
+    kept = dataclasses.replace(CONFIG.train, keep=2)
+    config = dataclasses.replace(CONFIG, train=kept)
+    shape = {"a": jax.ShapeDtypeStruct((3,), np.float32, sharding=SHARDING)}
+    with Checkpoints(tmp_path, config) as checkpoints:
+        assert checkpoints.latest_step() is None
+        for step in (3, 6, 9, 10):
+            checkpoints.save(step, {"a": np.float32([1, 2, step])}, {"best": -step})
+    names = {path.name for path in (tmp_path / "checkpoints").iterdir()}
+    assert names == {"9", "10"}
+    with Checkpoints(tmp_path, config) as checkpoints:
+        assert checkpoints.latest_step() == 10
+        state, record = checkpoints.restore(shape)
+    np.testing.assert_array_equal(state["a"], [1, 2, 10])
+    assert record == {"best": -10}
+
+
+def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
+    state = SimpleNamespace(released_params=lambda: {"a": np.zeros(1)})
+    log = SimpleNamespace(metrics=lambda *_: None, shows_pictures=False)
+    written, record = [], {"best_mae_deg": None}
+    monkeypatch.setattr(
+        train, "_write_weights", lambda path, *a: written.append((path.name, *a[2:]))
+    )
+    for state.step, error in ((5, 30.0), (6, 40.0), (7, 20.0), (8, 20.0), (9, 25.0)):
+        scores = {"mae": error, "constant": 50 - error}
+        monkeypatch.setattr(train, "validate", lambda *_, found=scores, **__: found)
+        record = train._validate_and_keep_best(CONFIG, state, record, tmp_path, log)
+    assert record == {"best_mae_deg": 20, "best_step": 7}
+    assert [(name, step, scores["mae"]) for name, step, scores in written] == [
+        *(("best.safetensors", 5, 30), ("best.safetensors", 7, 20)),
+    ]
