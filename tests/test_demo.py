@@ -1,0 +1,56 @@
+"""`unips demo`, with a stand-in for the network."""
+
+import json
+import re
+
+import cv2
+import numpy as np
+
+from unips_jax import demo, streaming, weights
+from unips_jax.config import ModelConfig
+
+FOLDER = demo.SAMPLE / "obj000.data"
+
+
+def angles(normals, truth):
+    length = np.linalg.norm(normals, axis=-1) * np.linalg.norm(truth, axis=-1)
+    cosine = np.sum(normals * truth, axis=-1) / length
+    return np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def test_what_the_demo_says_of_its_normals_is_true(tmp_path, monkeypatch, capsys):
+    coded = cv2.imread(str(FOLDER / "normal.tif"), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    truth = 2 * (coded / 65535) - 1
+    inside = abs(np.linalg.norm(truth, axis=-1) - 1) < 1e-3
+    seen = {}
+
+    def stand_in(params, images, mask, *, config, progress):
+        seen.update(images=images, mask=mask)
+        mirrored = truth * [-1, 1, 1] + [0, 0, 0.2]
+        mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
+        return (mirrored * mask[..., None]).astype(np.float32)
+
+    monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
+    monkeypatch.setattr(weights, "load_weights", lambda name: (ModelConfig(), {}))
+    target = tmp_path / "out"
+    assert demo.main(["-o", str(target)]) == 0
+    np.testing.assert_array_equal(seen["mask"], inside)
+    first = cv2.imread(str(FOLDER / "L_00.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    expected = first / np.iinfo(first.dtype).max * inside[..., None]
+    np.testing.assert_allclose(seen["images"][0], expected, atol=1e-4)
+
+    written = np.load(target / "normals.npy")[inside]
+    error = angles(written, truth[inside]).mean()
+    constant = angles(np.array([0, 0, 1.0]), truth[inside]).mean()
+    record = json.loads((target / "normals.json").read_text())
+    np.testing.assert_allclose(record["mae_deg"], error, rtol=1e-3)
+    np.testing.assert_allclose(record["constant_mae_deg"], constant, rtol=1e-3)
+    printed = re.findall(r"[\d.]*\d", capsys.readouterr().out.splitlines()[0])
+    assert printed == ["8", f"{error:.2f}", f"{constant:.2f}"]
+    # In the sheets' middle, red is mirrored between estimate and truth, green is not.
+    sheets = [cv2.imread(str(target / f"{name}.png")) for name in ("sheet", "truth")]
+    red, true_red = (sheet[84:820, 792:1528, 2].astype(float) for sheet in sheets)
+    green, true_green = (sheet[84:820, 792:1528, 1].astype(float) for sheet in sheets)
+    bright = sheets[1][84:820, 792:1528, 0] > 120  # the object: blue is high
+    assert np.corrcoef(red[bright], true_red[bright])[0, 1] < -0.95
+    assert np.corrcoef(green[bright], true_green[bright])[0, 1] > 0.95
