@@ -131,6 +131,14 @@ def test_sheet_shows_inputs_normals_and_lights(tmp_path, normals, count, dtype):
     # The middle of the normals faces the viewer.
     middle = sheet[84 + 368, 28 + 736 + 28 + 368]
     np.testing.assert_allclose(middle, [128, 128, 255], atol=3)
+    # Radii of 25 and 17.5 pixels, of which 53 fill the block: half of them from its
+    # middle n is 0.5.
+    half = 736 / 53 * np.array([12.5, 8.75])
+    for axis, (right, down) in enumerate(((half[0], 0), (0, -half[1]))):
+        x, y = round(28 + 736 + 28 + 368 + right), round(84 + 368 + down)
+        expected = np.array([128, 128, 238])
+        expected[axis] = 191
+        np.testing.assert_allclose(sheet[y, x], expected, atol=6)
     # The tile at the right is lit from the right: its object's right side is brighter.
     tile = sheet[84 + 248 : 84 + 488, 28 + 2 * 764 + 496 :][:, :240].mean(axis=-1)
     assert tile[60:180, 150:230].mean() > 2 * tile[60:180, 10:90].mean()
