@@ -54,3 +54,5 @@ def test_what_the_demo_says_of_its_normals_is_true(tmp_path, monkeypatch, capsys
     bright = sheets[1][84:820, 792:1528, 0] > 120  # the object: blue is high
     assert np.corrcoef(red[bright], true_red[bright])[0, 1] < -0.95
     assert np.corrcoef(green[bright], true_green[bright])[0, 1] > 0.95
+    # The truth's own red grows to the right, as on any object that stands out.
+    assert np.corrcoef(true_red[bright], np.nonzero(bright)[1])[0, 1] > 0.3
