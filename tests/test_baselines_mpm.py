@@ -212,6 +212,30 @@ def test_merging_undoes_rotations_and_reflections(merge):
     assert angles.mean() < (1e-2 if merge is mpm_merge.merge_sync else 2)
 
 
+def test_overlapping_patches_are_averaged_by_trust():
+    x, y, z = np.eye(3)
+    patches = [
+        mpm_patches.Patch(np.array([0, 1]), np.stack([z, x]), 3.0),
+        mpm_patches.Patch(np.array([1, 3]), np.stack([z, -x]), 4.0),
+    ]
+    turned = np.stack([np.eye(3), np.stack([-z, x, y])])  # x, y, z -> -z, x, y
+    merged = mpm_merge._average(patches, turned, 4)
+    expected = np.stack([z, 0.6 * x + 0.8 * y, np.full(3, np.nan), z])
+    np.testing.assert_allclose(merged, expected)
+    # The angle between the pixels 0 and 1 is 90 degrees; 1 and 3 are further apart.
+    far = np.stack([x, (y - x) / np.sqrt(2)])
+    patches += [mpm_patches.Patch(np.array([1, 3]), far, 1.0)]
+    angles = mpm_merge._mean_angles(patches, np.array([0, 1, -1, 2]), 3)
+    none, far = np.inf, (90 + 135) / 2
+    expected = [[none, 90, none], [90, none, far], [none, far, none]]
+    np.testing.assert_allclose(np.rad2deg(angles), expected)
+
+
+def test_patches_lie_about_the_objects_middle():
+    np.testing.assert_array_equal(mpm_patches._centres(np.arange(3, 12), 6), [4, 7, 10])
+    np.testing.assert_array_equal(mpm_patches._centres(np.array([5, 0]), 3), range(6))
+
+
 def test_integrability_recovers_a_random_frame():
     normals, mask = scene("cap")
     frame = ortho_group.rvs(3, random_state=3)
