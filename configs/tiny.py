@@ -3,16 +3,18 @@
     unips train --config configs/tiny.py --workdir runs/tiny
 
 6.4 M parameters. The shipped weights are interim: about 9,650 steps of 8 objects and
-10,900 of 12 in fifteen runs on two CPU cores (the last 480 took 30 minutes), 14.1
-degrees on 256 held-out scenes with 8 images (constant normal 39.8); the 3,000 steps
+12,400 of 12 in sixteen runs on two CPU cores (the last 1,500 took 77 minutes), 13.8
+degrees on 256 held-out scenes with 8 images (constant normal 39.9); the 3,000 steps
 below were not run in one go yet.
 
-Until the last 480 steps their third stage was cut off. Muon's steps had pushed every
+Until the last 1,980 steps their third stage was cut off. Muon's steps had pushed every
 ReLU behind the pyramid pooling below zero within the first 250, and nothing before it
 had a gradient any more: some 70 % of the parameters (a run's lines now tell the share,
 as "untrained"). Drawn anew, with shorter steps for wide convolutions, most ReLUs were
-off again after 450 steps; without them (`linear_pooling`) the stage learns.
-`observation_dim` came with it. What both gain was not measured apart.
+off again after 450 steps; without them (`linear_pooling`) the stage learns. The ReLUs
+of the pooling's branches were off too; the last 1,500 steps leave them out as well,
+and began with the branches drawn anew. `observation_dim` came with the 1,980. What
+each gains was not measured apart.
 
 What was tried in short runs: Muon beats AdamW by about 3 degrees after 100 steps from
 the same start. From nothing, the full distribution of scenes stays near the constant
