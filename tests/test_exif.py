@@ -101,10 +101,15 @@ def test_whatever_the_decoder_turns_is_reported(tmp_path, suffix, dtype, add):
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_opacity_turns_with_the_image(tmp_path, orientation):
-    path = save(tmp_path / "a.png", smooth(np.uint8)[..., [0, 1, 2, 0]])
-    path.write_bytes(png_with_orientation(path.read_bytes(), orientation))
-    np.testing.assert_array_equal(read_opacity(path), read_image(path)[..., 0])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_opacity_turns_with_the_image(tmp_path, orientation, dtype):
+    for suffix, turned in (
+        (".png", png_with_orientation),
+        (".tif", tiff_with_orientation),
+    ):
+        path = save(tmp_path / f"a{suffix}", smooth(dtype)[..., [0, 1, 2, 0]])
+        path.write_bytes(turned(path.read_bytes(), orientation))
+        np.testing.assert_array_equal(read_opacity(path), read_image(path)[..., 0])
 
 
 @pytest.mark.parametrize("data", [b"", b"II*\0", b"\xff\xd8\xff\xe1", b"\x89PNG"])

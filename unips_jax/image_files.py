@@ -39,6 +39,7 @@ SUFFIXES = frozenset(
 )
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+_TIFF_MAGICS = (b"II*\0", b"MM\0*")
 _JPEG_END = b"\xff\xd9"
 _PNG_END = b"IEND\xae\x42\x60\x82"
 
@@ -94,8 +95,9 @@ def read_opacity(path: Path) -> np.ndarray | None:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.ndim != 3 or image.shape[2] != 4:
         return None
-    alpha, orientation = image[..., 3], exif_orientation(path)
-    # OpenCV turns other images, but not unchanged ones.
+    alpha = image[..., 3]
+    # OpenCV turns TIFFs whatever it is asked for, other formats but not unchanged.
+    orientation = 1 if data.startswith(_TIFF_MAGICS) else exif_orientation(path)
     alpha = alpha.T if orientation >= 5 else alpha
     alpha = alpha[:, ::-1] if orientation in (2, 3, 6, 7) else alpha
     return alpha[::-1] if orientation in (3, 4, 7, 8) else alpha
