@@ -120,8 +120,10 @@ def train(
                 recent.clear()
             done = step == config.train.steps
             validates = done or step % config.train.validate_every == 0
-            # All stop after the same step: alone, a process would wait for the rest.
-            stopping = any_process(stop.is_set())
+            # All processes stop after the same step. They agree on it where they wait
+            # for the device anyway.
+            agrees = jax.process_count() == 1 or step % config.train.log_every == 0
+            stopping = agrees and any_process(stop.is_set())
             saves = done or stopping or step % config.train.checkpoint_every == 0
             if validates or saves:
                 check_finite(*pending, workdir)
