@@ -9,8 +9,9 @@ import pytest
 from unips_jax import claims
 from unips_jax.baselines.gcnet_weights import save_params
 from unips_jax.command import InputError
+from unips_jax.config import ModelConfig
 from unips_jax.evaluation.store import Store
-from unips_jax.weights import ModelConfig, save_weights
+from unips_jax.weights import save_weights
 
 PARAMS = {"a": {"kernel": np.zeros(3, np.float32)}}
 WRITERS = {

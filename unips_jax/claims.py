@@ -68,9 +68,7 @@ def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:
 def write_whole(path: Path, data: bytes) -> None:
     """Writes a file that is complete or absent, whatever happens.
 
-    A temporary file of a fixed name beside it is written first, so a killed process
-    leaves at most one, which the next attempt overwrites. Two processes must not write
-    the same path at once; see `claim`.
+    A temporary file beside it is written first, which a killed process may leave.
 
     Args:
         path: the file; its folder is made if it is not there.
@@ -79,7 +77,7 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         InputError: if it cannot be written; what was there before stays.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
+    temporary = path.parent / f".{path.name}.{os.getpid()}.tmp"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
