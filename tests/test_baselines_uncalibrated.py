@@ -171,7 +171,7 @@ def test_crossings_are_those_of_all_pairs():
     np.testing.assert_allclose(list(found.values()), list(expected.values()))
 
 
-def test_diffuse_maxima_take_memory_for_segments_not_for_pairs():
+def test_crossings_take_memory_for_segments_and_crossings_not_for_pairs():
     start = np.random.default_rng(0).uniform(-1, 1, (3000, 2))
     tracemalloc.start()
     count = sum(1 for _ in bas_relief._crossings(start, start + 1e-6))
