@@ -44,8 +44,8 @@ class ModelConfig:
         communication_mlp_ratio: hidden width of their MLPs over the input width.
         context_dim: channels of the global lighting contexts (UPerNet's width).
         pool_scales: bins per side of the pyramid pooling module.
-        linear_pooling: no ReLU after that module (the paper's network has one). Where
-            it is off everywhere, the coarsest stage is cut off for good.
+        linear_pooling: no ReLUs in and after that module (the paper's network has
+            them). Where they are all off, the coarsest stage is cut off for good.
         attention: arithmetic of set attention: "pre_norm" is the paper's standard
             Transformer layer, "released" what the authors' network computes.
         aggregation: how a pixel's set becomes one vector: "pma" or "max".

@@ -24,7 +24,8 @@ class Folder(Benchmark):
     16 bits and as n in floating point, and, where it is given, `mask.*`. Without a mask
     the object's pixels are those whose true normal has unit length (to 1e-3 in 16 bits
     or more, to 0.05 in 8). Photographs and mask are chosen and read as by
-    `unips estimate` (see `unips_jax.photos`), those of 8 bits taken as sRGB too. The
+    `unips estimate` (see `unips_jax.photos`), those of 8 bits taken as sRGB (store
+    linear ones in 16). An object's photographs are read whole by the check too. The
     focal length is taken from the first photograph's EXIF data, where it carries one.
     """
 
@@ -78,7 +79,9 @@ class Folder(Benchmark):
         stack = _read(entry, shape)
         if usual_transfer(stack.dtype) == "linear":
             return stack, ()
-        linear = np.stack([as_linear(image, "srgb") for image in stack])
+        linear = np.empty(stack.shape, np.float32)
+        for place, image in zip(linear, stack, strict=True):
+            place[...] = as_linear(image, "srgb")
         return linear, ("8-bit photographs taken as sRGB and made linear",)
 
     def checked_photographs(
