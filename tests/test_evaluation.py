@@ -14,7 +14,6 @@ from unips_jax.evaluation import methods, protocols, publish, runner, summary
 from unips_jax.evaluation.benchmarks import open_benchmark
 from unips_jax.evaluation.methods import Variant
 from unips_jax.evaluation.protocols import Protocol
-from unips_jax.evaluation.scores import Score
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.tables import files_of
 
@@ -201,81 +200,6 @@ def test_tables_average_as_they_say(ps_wild, tmp_path):
     assert category.rows[0][3] == maes["directional/obj001"]
     pixels = sum(r.score.pixels for r in results.of("flat", 4))
     assert sum(r[1] for r in tables["angles"].rows) == pixels
-
-
-def score_of(mae, median, *view):
-    """A score whose pixels lie in the first two bins: counts, then sums of errors."""
-    counts, sums = (*view[:2], 0, 0, 0, 0), (*view[2:], 0.0, 0.0, 0.0, 0.0)
-    shares = (mae, 2 * mae, 3 * mae, 4 * mae)
-    return Score(sum(counts), mae, median, shares, (), counts, sums, 0, int(mae == 9))
-
-
-def test_tables_by_hand():
-    """Three objects, the last under another light and without a truth."""
-
-    def result(entry, lighting, label, count, score, **rest):
-        tags = {"object": entry, "lighting": lighting, "category": entry[:1]}
-        given = {"measures": {}, "unsupported": "", **rest}
-        return runner.Result(
-            *(entry, tags, (), label, count, 2, score),
-            **given,
-            name=f"{entry}-{label}-{count}",
-        )
-
-    results = summary.Results(
-        "mine",
-        "native",
-        {"a": "first", "b": "second"},
-        (2, None),
-        [
-            result("x1", "sun", "a", 2, score_of(50, 5, 1, 0, 50, 0)),
-            result("x2", "sun", "a", 2, score_of(70, 5, 1, 0, 70, 0)),
-            result("y", "sky", "a", 2, None),
-            result(
-                *("x1", "sun", "a", None, score_of(10, 6, 10, 30, 60, 340)),
-                measures={"light": 3.0},
-            ),
-            result("x2", "sun", "a", None, score_of(20, 8, 40, 0, 800, 0)),
-            result("y", "sky", "a", None, score_of(9, 1, 0, 1, 0, 9)),
-            result("x1", "sun", "b", None, score_of(4, 3, 10, 30, 40, 120)),
-            result("x2", "sun", "b", None, None, unsupported="too dark"),
-            result("y", "sky", "b", None, None),
-        ],
-    )
-    tables = {table.name: table for table in summary.tables(results)}
-    assert tables["summary"].columns == [
-        *("Method", "Images", "Source", "sun", "sky", "Mean", "Median"),
-        *("% < 5", "% < 11.25", "% < 22.5", "% < 30", "Objects"),
-    ]
-    assert tables["summary"].rows == [
-        ["a", "all", "this run", 15, 9, 13, 5, 13, 26, 39, 52, "3 of 3"],
-        ["b", "all", "this run", 4, None, 4, 3, 4, 8, 12, 16, "1 of 3"],
-    ]
-    assert tables["images"].rows[:2] == [
-        ["a", 2, "this run", 60, None, 60],
-        ["a", "all", "this run", 15, 9, 13],
-    ]
-    assert tables["objects"].rows == [
-        ["x1", "sun", "x", 10, 4],
-        ["x2", "sun", "x", 20, "unsupported"],
-        ["y", "sky", "y", 9, "truth withheld"],
-        ["mean", None, None, 13, 4],
-    ]
-    assert tables["categories"].rows == [
-        ["x", "sun", 2, 15, 4],
-        ["y", "sky", 1, 9, None],
-    ]
-    # Over pixels, not objects: 860 degrees on 50 pixels, 349 on 31.
-    assert tables["angles"].rows == [
-        ["0-15", 50, 860 / 50, 40 / 10],
-        ["15-30", 31, 349 / 31, 120 / 30],
-    ]
-    assert tables["measures"].rows == [["a", "light", 3, None, 3]]
-    assert tables["methods"].rows == [["a", "first"], ["b", "second"]]
-    assert tables["remarks"].rows == [
-        ["y", "a", "1 pixels without an estimate count as 90 degrees"],
-        ["x2", "b", "too dark"],
-    ]
 
 
 def test_tables_in_every_format_say_the_same(ps_wild, tmp_path):

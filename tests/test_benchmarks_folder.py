@@ -1,0 +1,118 @@
+"""The benchmark of one's own folders, which reads as `unips estimate` does."""
+
+import struct
+
+import cv2
+import evaluation_data as data
+import numpy as np
+import OpenEXR
+import pytest
+from test_exif import png_with_orientation, tiff_with_orientation, with_orientation
+from test_photos import HEIGHT, WIDTH, save, smooth
+
+from unips_jax import cli, estimate, streaming
+from unips_jax.command import InputError
+from unips_jax.evaluation.benchmarks import open_benchmark
+from unips_jax.image_files import as_linear
+
+
+@pytest.mark.parametrize("mask", [True, False])
+def test_reads_what_was_stored(tmp_path, mask):
+    data.make_folder(tmp_path, mask=mask)
+    data.write_image(tmp_path / "cup" / "baseColor.png", np.zeros((3, 3, 3), np.uint8))
+    benchmark = open_benchmark("folder", tmp_path)
+    item = benchmark[0]
+    assert [p.name for p in benchmark.entries[0].images] == [
+        f"IMG_{i}.PNG"
+        for i in (10, 11, 12, 8, 9)  # as `unips estimate` sorts
+    ]
+    inside, normals = data.sphere(20, 20)
+    expected = inside if mask else normals.any(-1)
+    np.testing.assert_array_equal(item.mask, expected)
+    single = open_benchmark("folder", tmp_path / "shoe")
+    assert len(single) == 1 and single[0].images.shape[1:3] == (20, 21)
+
+
+def test_takes_the_focal_length_from_exif(tmp_path):
+    _, normals = data.sphere(9, 11)
+    data.write_image(tmp_path / "normal.png", data.to16((normals + 1) / 2))
+    jpeg = cv2.imencode(".jpg", np.full((9, 11, 3), 90, np.uint8))[1].tobytes()
+    entry = struct.pack("<HHIHH", 0xA405, 3, 1, 50, 0)  # 50 mm, 35 mm equivalent
+    pointer = struct.pack("<HHII", 0x8769, 4, 1, 26)
+    tiff = b"II*\0\10\0\0\0\1\0" + pointer + b"\0\0\0\0\1\0" + entry + b"\0\0\0\0"
+    body = b"Exif\0\0" + tiff
+    segment = b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
+    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
+    item = open_benchmark("folder", tmp_path)[0]
+    assert item.focal == pytest.approx(50 / np.hypot(36, 24) * np.hypot(9, 11))
+
+
+def test_reads_exr_truth_and_grey_photographs(tmp_path):
+    mask, normals = data.sphere(9, 11)
+    for i in range(3):
+        data.write_image(tmp_path / f"{i}.tif", np.full((9, 11), i + 1, np.uint8))
+    pixels = np.ascontiguousarray(normals, np.float32)
+    header = {"type": OpenEXR.scanlineimage}
+    channels = {"RGB": OpenEXR.Channel("RGB", pixels)}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(tmp_path / "Normal_gt.exr"))
+    item = open_benchmark("folder", tmp_path)[0]
+    inside = normals.any(-1)
+    np.testing.assert_array_equal(item.mask, inside)
+    np.testing.assert_array_equal(item.normals[inside], pixels[inside])
+    assert item.images.shape == (3, 9, 11, 3)
+    np.testing.assert_allclose(item.images[2], 3 / 255 / 12.92, rtol=1e-6)
+    assert item.notes == ("8-bit photographs taken as sRGB and made linear",)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_gives_the_network_what_estimate_does(tmp_path, monkeypatch, dtype):
+    """To the bit, from a folder with an example of all that readers differ in."""
+    given = []
+
+    def stand_in(params, images, mask, *, config, transfer="linear", **options):
+        given.append((as_linear(images, transfer), mask))
+        return mask[..., None] * np.float32([0, 0, 1])
+
+    monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
+    monkeypatch.setattr(estimate, "write_sheet", lambda *args, **options: None)
+    folder, size = tmp_path / "photographs" / "shoe", (HEIGHT, WIDTH)
+    inside, normals = data.sphere(*size)
+    data.write_image(tmp_path / "photographs/shoe/normal.png", data.encode16(normals))
+    for name, seed in (("IMG_9.png", 0), ("IMG_10.png", 1), ("a.tif", 2)):
+        save(folder / name, smooth(dtype, seed))
+    save(folder / "gray.png", smooth(dtype, 3)[..., 0])
+    save(folder / "clear.png", smooth(dtype, 4)[..., [0, 1, 2, 0]])
+    for path in folder.glob("[!n]*.png"):
+        path.write_bytes(png_with_orientation(path.read_bytes(), 3))
+    path = folder / "a.tif"
+    path.write_bytes(tiff_with_orientation(path.read_bytes(), 3))
+    if dtype == np.uint8:
+        path = save(folder / "b.jpg", smooth(dtype, 5))
+        path.write_bytes(with_orientation(path.read_bytes(), 3))
+    for name in (".thumbnail.jpg", "sheet.png", "shoeNormals.png", "albedo.jpg"):
+        save(folder / name, smooth(np.uint8, 6, 7, 8))
+    (folder / "c.heic").write_bytes(b"raw")
+    mask = np.full((*size, 4), 255, np.uint8)
+    mask[..., 3] *= inside
+    save(folder / "mask.png", mask)
+
+    assert cli.main(["estimate", str(folder), "-o", str(tmp_path / "out")]) == 0
+    root = ["--root", str(folder.parent), "--workdir", str(tmp_path / "work")]
+    options = ["--benchmark", "folder", "--method", "unips", "--no-pictures"]
+    assert cli.main(["eval", *root, *options]) == 0
+    (images, mask), (ours, our_mask) = given
+    assert len(images) == (6 if dtype == np.uint8 else 5)
+    np.testing.assert_array_equal(ours, images)
+    np.testing.assert_array_equal(our_mask, mask)
+    np.testing.assert_array_equal(mask, inside)
+
+
+def test_refuses_photographs_of_another_size_than_the_truth(tmp_path):
+    data.make_folder(tmp_path, mask=False)
+    _, normals = data.sphere(21, 22)
+    data.write_image(tmp_path / "cup" / "normal.png", data.encode16(normals))
+    benchmark = open_benchmark("folder", tmp_path)
+    for read in (benchmark.check, benchmark.__getitem__):
+        with pytest.raises(InputError, match=r"22 x 21 pixels as normal\.png, got 20"):
+            read(0)
