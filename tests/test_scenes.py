@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from unips_jax.metrics import angular_error_deg
 from unips_jax.render import describe
 from unips_jax.scenes import (
+    SHAPE_KINDS,
     SceneConfig,
     geometry,
     grids,
@@ -15,6 +17,7 @@ from unips_jax.scenes import (
     materials,
     sdf,
     shading,
+    shapes,
     tracing,
 )
 from unips_jax.scenes import render as scenes_render
@@ -206,11 +209,41 @@ def test_a_taper_narrows_the_object_towards_one_end(taper):
     assert np.max(np.asarray(angular_error_deg(found.normals, true))[face]) < 0.3
 
 
+@pytest.mark.parametrize("kind", ["composition", "lathe", "thin"])
+def test_objects_are_hardly_ever_in_pieces(kind):
+    @jax.jit
+    def inside(key):
+        shape = shapes.draw_shape(key, jnp.int32(SHAPE_KINDS.index(kind)))
+        axes = (jnp.linspace(-1, 1, 72) * shape.radius + c for c in shape.center)
+        return sdf.distance(shape, tuple(jnp.meshgrid(*axes, indexing="ij"))) < 0
+
+    broken = 0
+    for key in jax.random.split(jax.random.key(3), 24):
+        pieces, _ = ndimage.label(np.asarray(inside(key)), np.ones((3, 3, 3)))
+        sizes = np.sort(np.bincount(pieces.ravel())[1:])
+        broken += sizes[-1] < 0.95 * sizes.sum()
+    assert broken <= 3
+
+
 def test_normals_face_the_viewer_and_are_unit(sphere):
     mask = np.asarray(sphere.mask)
     normals = np.asarray(sphere.normals)[mask]
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
     assert np.min(np.sum(normals * np.asarray(sphere.view)[mask], -1)) > -1e-5
+
+
+def test_what_a_contour_hides_begins_right_behind_it():
+    balls = [((0, 0, -0.25), 0.7), ((0, 0.1, 0.8), 0.15)]
+    found = look(make_shape(balls=balls), size=128)
+    u, v = (np.asarray(c).reshape(128, 128) for c in grids.pixel_grid(128))
+    true = np.zeros((128, 128, 3))
+    for (_, y, _), radius in balls:
+        inside = np.hypot(u, v - y) < radius
+        z = np.sqrt(np.maximum(radius**2 - u**2 - (v - y) ** 2, 0))
+        true[inside] = (np.stack([u, v - y, z], -1) / radius)[inside]
+    np.testing.assert_array_equal(found.mask, np.hypot(u, v) < 0.7)
+    error = np.asarray(angular_error_deg(found.normals, true))[found.mask]
+    assert np.max(error) < 1
 
 
 def test_perspective_points_project_to_their_pixels():

@@ -20,9 +20,9 @@ from unips_jax.scenes.shapes import draw_shape, is_flat
 from unips_jax.scenes.tracing import (
     Camera,
     along,
-    approach,
     camera_rays,
     clearance,
+    first_crossings,
     gradient,
     object_point,
     soft_visibility,
@@ -192,16 +192,8 @@ def _visible_surface(
 ) -> tuple[Array, Point, Point, Point, Array]:
     """Mask, points, normals, directions to the viewer, relief height; all flat."""
     pixel = 2 * camera.window[2] / size
-    factor = 4
-    rays = camera_rays(camera, *pixel_grid(size // factor))
-    start = approach(shape, to_object, rays, 0.75 * factor * pixel, 12)
-    start = start.reshape(size // factor, size // factor)
-    start = jnp.repeat(jnp.repeat(start, factor, 0), factor, 1).reshape(-1)
     rays = camera_rays(camera, *pixel_grid(size))
-    near, _ = sphere_interval(*rays)
-    start = jnp.maximum(start - 0.5 * factor * pixel, near)
-    t, last = trace(shape, to_object, rays, start, pixel, 13)
-    mask = last < 0.5 * pixel
+    t, last = first_crossings(shape, to_object, camera, size)
 
     def base(point: Point) -> Array:
         return world_distance(shape, to_object, point)
@@ -217,6 +209,7 @@ def _visible_surface(
     one = jnp.ones_like(t)
     t, _, _ = jax.lax.fori_loop(0, 2, secant, (t, one, one))
     point = along(*rays, t)
+    mask = (last < 0.5 * pixel) & (base(point) < 0.1 * pixel)
 
     def relief(point: Point) -> Array:
         return detail(shape, object_point(shape, to_object, point))

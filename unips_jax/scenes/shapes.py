@@ -113,26 +113,77 @@ def _typed_primitives(draws: Draws, kind: Array, size: Array, blend: Array):
     return primitives, reach
 
 
-def _attached_centers(draws: Draws, size: Array, used: Array) -> Array:
-    """Each slot sits near the surface of one before it, so that all are connected.
+def _attached_centers(
+    draws: Draws, primitives: Primitives, size: Array, used: Array, lathe: Array
+) -> Array:
+    """Each slot overlaps one before it, so that all are connected.
 
-    Cuts sit further out, the more the larger they are: they hollow, but leave the rest.
+    Cuts sit near the surface, further out the larger they are: they hollow, but mostly
+    leave the rest in one piece.
+
+    Args:
+        draws: random numbers.
+        primitives: of K slots, in any place.
+        size: `[K]`, of the slots.
+        used: `[K]`, bool.
+        lathe: turned objects, of which only the half plane x > 0, z = 0 counts, stack
+            their slots along y there.
+
+    Returns:
+        `[K, 3]`.
     """
-    offset = draws.direction(NUM_SLOTS)
+    upwards = jnp.where(draws.chance(0.5, NUM_SLOTS), 1.0, -1.0)
+    lean = draws.uniform(0.0, 0.5, NUM_SLOTS)
+    stacked = jnp.stack(
+        [jnp.sin(lean), upwards * jnp.cos(lean), jnp.zeros(NUM_SLOTS)], -1
+    )
+    direction = jnp.where(lathe, stacked, draws.direction(NUM_SLOTS))
+
+    # The middle of the material, from the center: rings have theirs in the tube.
+    ring = primitives.hole < SOLID
+    side = draws.chance(0.5, NUM_SLOTS).astype(jnp.int32)[:, None]
+    tube = jnp.take_along_axis(primitives.rotation, side[..., None], 1)[:, 0]
+    section = jnp.cross(primitives.rotation[:, 2], jnp.asarray([0.0, 0.0, 1.0]))
+    section = section / jnp.linalg.norm(section, axis=-1, keepdims=True)
+    tube = jnp.where(lathe, section * jnp.sign(section[:, :1]), tube)
+    width = jnp.take_along_axis(primitives.extent, side, 1)[:, 0] - primitives.hole
+    middle = jnp.where(ring[:, None], tube * width[:, None], 0.0)
+
+    # How far the material reaches from there: row by slot, column by direction.
+    half = primitives.extent * primitives.scale
+    half = jnp.where(ring[:, None], primitives.hole[:, None], half)
+    turned = jnp.einsum("kij,lj->kli", primitives.rotation, direction)
+    reach = 1 / jnp.linalg.norm(turned / half[:, None], axis=-1)
+
     parent = draws.unit(NUM_SLOTS)
-    spread = draws.uniform(0.45, 0.95, NUM_SLOTS)
+    out = draws.uniform(0.45, 0.95, NUM_SLOTS)
+    overlap = draws.uniform(0.0, 0.5, NUM_SLOTS)
     centers = [jnp.zeros(3)]
     for slot in range(1, NUM_SLOTS):
         count = min(slot, NUM_UNIONS)
         index = (parent[slot] * count).astype(jnp.int32)
         index = jnp.where(used[index], index, 0)
-        one_hot = (jnp.arange(count) == index).astype(jnp.float32)
-        origin = one_hot @ jnp.stack(centers[:count])
-        reach = spread[slot] * (one_hot @ size[:count])
-        if slot >= NUM_UNIONS:
-            reach = reach + 0.5 * size[slot]
-        centers.append(origin + offset[slot] * reach)
+        origin = jnp.stack(centers)[index] + middle[index]
+        step = out[slot] * reach[index, slot]
+        if slot < NUM_UNIONS:
+            step = step + overlap[slot] * reach[slot, slot]
+            origin = origin - middle[slot]
+        else:
+            step = step + 0.5 * size[slot]
+        centers.append(origin + direction[slot] * step)
     return jnp.stack(centers)
+
+
+def _turned_cuts(
+    draws: Draws, centers: Array, size: Array, used: Array
+) -> tuple[Array, Array]:
+    """Centers of a turned object's cuts: a waist and an opening at the top."""
+    heights = centers[:NUM_UNIONS, 1]
+    low = jnp.min(jnp.where(used[:NUM_UNIONS], heights, jnp.inf))
+    high = jnp.max(jnp.where(used[:NUM_UNIONS], heights, -jnp.inf))
+    waist = draws.uniform(0.2, 0.5) + size[NUM_UNIONS]
+    beside = jnp.stack([waist, draws.uniform(low, high), 0.0])
+    return beside, jnp.stack([0.0, high + 0.3 * size[0], 0.0])
 
 
 def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
@@ -145,22 +196,10 @@ def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
     used = draws.chance(jnp.where(is_cut, traits[6], traits[5]), NUM_SLOTS)
     used = used.at[:2].set(True)
     primitives, reach = _typed_primitives(draws, kind, size, blend)
-    centers = _attached_centers(draws, size, used)
-
-    # Turned objects stack their slots along the axis; the first cut makes a waist, the
-    # last opens the top.
-    axis = jnp.stack(
-        [
-            draws.uniform(0.0, 0.3, NUM_SLOTS),
-            draws.uniform(-0.9, 0.9, NUM_SLOTS),
-            jnp.zeros(NUM_SLOTS),
-        ],
-        -1,
-    )
-    top = jnp.stack([0.0, jnp.max(axis[:NUM_UNIONS, 1]) + 0.3 * size[0], 0.0])
-    waist = draws.uniform(0.2, 0.5) + 0.7 * size[NUM_UNIONS]
-    axis = axis.at[NUM_UNIONS, 0].set(waist).at[-1].set(top)
-    centers = jnp.where(kind == LATHE, axis, centers)
+    lathe = kind == LATHE
+    centers = _attached_centers(draws, primitives, size, used, lathe)
+    cuts = jnp.stack(_turned_cuts(draws, centers, size, used))
+    centers = centers.at[NUM_UNIONS:].set(jnp.where(lathe, cuts, centers[NUM_UNIONS:]))
 
     # Reliefs and plates: slot 0 is the plate, the others sit on its face.
     flat = is_flat(kind)
