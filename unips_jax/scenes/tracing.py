@@ -116,7 +116,8 @@ def first_crossings(
     """Traces a camera's rays to the surface, all of them, then those still going.
 
     Rays that graze a contour, the outline or one in front of another surface, take many
-    more steps than others: without the second march every contour would be a gap.
+    more steps than others: without the second march every contour would be a gap. It is
+    of a third of the rays, those nearest to a surface if more are still going.
 
     Args:
         shape: the object.
