@@ -113,6 +113,35 @@ def _typed_primitives(draws: Draws, kind: Array, size: Array, blend: Array):
     return primitives, reach
 
 
+def _material(
+    primitives: Primitives, direction: Array, side: Array, lathe: Array
+) -> tuple[Array, Array]:
+    """Where primitives are solid: about their centers, or in the tube of rings.
+
+    Args:
+        primitives: of K slots.
+        direction: `[K, 3]`, unit.
+        side: `[K]`, 0 or 1: whether a ring is met on its x or its y axis.
+        lathe: rings are met in the half plane x > 0, z = 0 instead.
+
+    Returns:
+        A point inside, from the center, `[K, 3]`, and how far the material reaches from
+        there at least, `[K, K]`: slots by directions.
+    """
+    ring = (primitives.hole < SOLID)[:, None]
+    side = side[:, None]
+    tube = jnp.take_along_axis(primitives.rotation, side[..., None], 1)[:, 0]
+    section = jnp.cross(primitives.rotation[:, 2], jnp.asarray([0.0, 0.0, 1.0]))
+    section = section / jnp.linalg.norm(section, axis=-1, keepdims=True)
+    tube = jnp.where(lathe, section * jnp.sign(section[:, :1]), tube)
+    width = jnp.take_along_axis(primitives.extent, side, 1) - primitives.hole[:, None]
+    middle = jnp.where(ring, tube * width, 0.0)
+    half = primitives.extent * primitives.scale
+    half = jnp.where(ring, primitives.hole[:, None], half)
+    turned = jnp.einsum("kij,lj->kli", primitives.rotation, direction)
+    return middle, 1 / jnp.linalg.norm(turned / half[:, None], axis=-1)
+
+
 def _attached_centers(
     draws: Draws, primitives: Primitives, size: Array, used: Array, lathe: Array
 ) -> Array:
@@ -139,22 +168,8 @@ def _attached_centers(
     )
     direction = jnp.where(lathe, stacked, draws.direction(NUM_SLOTS))
 
-    # The middle of the material, from the center: rings have theirs in the tube.
-    ring = primitives.hole < SOLID
-    side = draws.chance(0.5, NUM_SLOTS).astype(jnp.int32)[:, None]
-    tube = jnp.take_along_axis(primitives.rotation, side[..., None], 1)[:, 0]
-    section = jnp.cross(primitives.rotation[:, 2], jnp.asarray([0.0, 0.0, 1.0]))
-    section = section / jnp.linalg.norm(section, axis=-1, keepdims=True)
-    tube = jnp.where(lathe, section * jnp.sign(section[:, :1]), tube)
-    width = jnp.take_along_axis(primitives.extent, side, 1)[:, 0] - primitives.hole
-    middle = jnp.where(ring[:, None], tube * width[:, None], 0.0)
-
-    # How far the material reaches from there: row by slot, column by direction.
-    half = primitives.extent * primitives.scale
-    half = jnp.where(ring[:, None], primitives.hole[:, None], half)
-    turned = jnp.einsum("kij,lj->kli", primitives.rotation, direction)
-    reach = 1 / jnp.linalg.norm(turned / half[:, None], axis=-1)
-
+    side = draws.chance(0.5, NUM_SLOTS).astype(jnp.int32)
+    middle, reach = _material(primitives, direction, side, lathe)
     parent = draws.unit(NUM_SLOTS)
     out = draws.uniform(0.45, 0.95, NUM_SLOTS)
     overlap = draws.uniform(0.0, 0.5, NUM_SLOTS)

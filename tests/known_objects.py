@@ -1,0 +1,79 @@
+"""Objects of known shape and views of them, for several test files."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from unips_jax.scenes import SceneConfig, geometry, sdf, tracing
+
+CONFIG = SceneConfig()
+FLAT = {"twist": 0.0, "lathe": 0.0, "mirror": 0.0, "wave_warp": 0.0, "wave_ridge": 0.0}
+
+
+def make_shape(
+    balls=(), slabs=(), hollows=(), noise=0.0, frequency=1.0, amplitude=0.0
+) -> sdf.Shape:
+    """Balls (center, radius) and boxes (center, half extents), less round hollows."""
+    rows = []
+    for center, radius in balls:
+        rows.append((center, np.full(3, radius), np.ones(3), 1.0, 1.0))
+    for center, half in slabs:
+        rows.append((center, np.ones(3), np.asarray(half), 0.0, 0.0))
+    used = np.arange(sdf.NUM_SLOTS) < len(rows)
+    rows += [(np.zeros(3), np.ones(3), np.ones(3), 0.0, 0.0)] * int(np.sum(~used))
+    for slot, (center, radius) in enumerate(hollows, sdf.NUM_UNIONS):
+        rows[slot] = (center, np.full(3, radius), np.ones(3), 1.0, 1.0)
+        used[slot] = True
+    center, scale, extent, corner, edge = (
+        jnp.asarray(np.stack([np.asarray(c, np.float32) for c in column]))
+        for column in zip(*rows, strict=True)
+    )
+    count = sdf.NUM_SLOTS
+    primitives = sdf.Primitives(
+        center=center,
+        rotation=jnp.broadcast_to(jnp.eye(3), (count, 3, 3)),
+        scale=scale,
+        extent=extent,
+        corner=corner,
+        hole=jnp.full(count, sdf.SOLID),
+        edge=edge,
+        blend=jnp.full(count, 1e-4),
+        absent=jnp.where(jnp.asarray(used), 0.0, 1e3),
+    )
+    zero = jnp.float32(0)
+    relief = sdf.Detail(
+        seed=jnp.uint32(7),
+        rotation=jnp.eye(3),
+        frequency=jnp.float32(frequency),
+        noise=jnp.float32(noise),
+        groove=zero,
+        ridge=zero,
+        dimple=zero,
+        weave=zero,
+        groove_width=jnp.float32(0.2),
+    )
+    waves = jnp.zeros((sdf.NUM_WAVES, 5)).at[0].set(jnp.asarray([2, 1, 0, 0.1, 0.0]))
+    return sdf.Shape(
+        slots=sdf.pack(primitives),
+        waves=waves.at[0, 4].set(amplitude),
+        step_scale=jnp.float32(1 if amplitude == 0 else 0.7),
+        detail=relief,
+        neck=jnp.asarray([0.0, 0.0, 1.0]),
+        taper=jnp.float32(0),
+        slab=jnp.asarray([0.0, 1e3]),
+        center=jnp.zeros(3),
+        radius=jnp.float32(1),
+        kind=jnp.int32(0),
+        **{name: jnp.float32(value) for name, value in FLAT.items()},
+    )
+
+
+def look(shape, *, size=32, perspective=0.0, distance=3.0, half=1.0, config=CONFIG):
+    camera = tracing.Camera(
+        jnp.float32(perspective), jnp.float32(distance), jnp.asarray([0.0, 0, half])
+    )
+    return jax.jit(
+        lambda s: geometry.finish_geometry(
+            jax.random.key(0), s, jnp.eye(3), camera, size=size, config=config
+        )
+    )(shape)

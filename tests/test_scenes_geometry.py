@@ -1,0 +1,182 @@
+"""Shapes and what is seen of them against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from known_objects import look, make_shape
+from scipy import ndimage
+
+from unips_jax.metrics import angular_error_deg
+from unips_jax.scenes import SHAPE_KINDS, SceneConfig, geometry, grids, sdf, shapes
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    return look(make_shape(balls=[((0, 0, 0), 0.9)]))
+
+
+def test_the_sphere_is_where_it_should_be(sphere):
+    u, v = (np.asarray(c).reshape(32, 32) for c in grids.pixel_grid(32))
+    inside = np.hypot(u, v)
+    assert np.all(sphere.mask[inside < 0.88])
+    assert not np.any(sphere.mask[inside > 0.93])
+    z = np.sqrt(np.maximum(0.81 - u**2 - v**2, 0))
+    true = np.stack([u, v, z], -1) / 0.9
+    interior = inside < 0.85
+    error = angular_error_deg(sphere.normals, true)
+    assert np.max(np.asarray(error)[interior]) < 0.3
+    assert v[0, 0] > 0 > u[0, 0]  # row 0 on top, y up
+    assert np.all(np.asarray(sphere.normals)[~np.asarray(sphere.mask)] == 0)
+
+
+def test_normals_are_the_derivative_of_the_displaced_surface():
+    shape = make_shape(
+        balls=[((0, 0, 0), 0.8)], noise=0.02, frequency=4.0, amplitude=0.04
+    )
+    found = look(shape)
+    shape = found.shape
+    mask = np.asarray(found.mask)
+    points = np.asarray(found.positions)[mask]
+    step = 2e-3
+
+    @jax.jit
+    def value(p):
+        point = (p[:, 0], p[:, 1], p[:, 2])
+        relief = sdf.detail(shape, point) * shape.step_scale
+        return sdf.distance(shape, point) - relief
+
+    slope = [
+        np.asarray(value(points + step * axis) - value(points - step * axis))
+        for axis in np.eye(3, dtype=np.float32)
+    ]
+    error = angular_error_deg(np.asarray(found.normals)[mask], np.stack(slope, -1))
+    facing = np.stack(slope, -1)[:, 2] > 0.1 * np.linalg.norm(slope, axis=0)
+    assert np.mean(np.asarray(error)[facing]) < 0.15
+    assert np.quantile(np.asarray(error)[facing], 0.99) < 1.0
+
+
+def test_a_neck_narrows_the_object_and_tilts_its_normals():
+    shape = make_shape(slabs=[((0, 0, 0), (0.5, 0.85, 0.5))])
+    shape = shape._replace(
+        neck=jnp.asarray([0.6, 0.1, 0.4]), step_scale=jnp.float32(0.6)
+    )
+    found = look(shape, size=64)
+    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
+    away = (v - 0.1) / 0.4
+    width = 0.5 * (1 - 0.6 / (1 + away**2))
+    inside = np.abs(v) < 0.8
+    assert np.all(found.mask[inside & (np.abs(u) < width - 0.03)])
+    assert not np.any(found.mask[inside & (np.abs(u) > width + 0.03)])
+    slope = 0.5 * 0.6 * 2 * away / 0.4 / (1 + away**2) ** 2  # of the face z = width(y)
+    true = np.stack([0 * v, -slope, np.ones_like(v)], -1)
+    face = inside & (np.abs(u) < width - 0.05)
+    assert np.max(np.asarray(angular_error_deg(found.normals, true))[face]) < 0.3
+
+
+@pytest.mark.parametrize("taper", [0.6, -0.6])
+def test_a_taper_narrows_the_object_towards_one_end(taper):
+    shape = make_shape(slabs=[((0, 0, 0), (0.5, 0.85, 0.5))])
+    shape = shape._replace(taper=jnp.float32(taper), step_scale=jnp.float32(0.8))
+    found = look(shape, size=64)
+    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
+    width = 0.5 * (1 - 0.6 * (0.5 + 0.5 * np.sign(taper) * v))
+    inside = np.abs(v) < 0.8
+    assert np.all(found.mask[inside & (np.abs(u) < width - 0.03)])
+    assert not np.any(found.mask[inside & (np.abs(u) > width + 0.03)])
+    true = np.array([0.0, 0.15 * np.sign(taper), 1.0])  # of the face z = width(y)
+    face = inside & (np.abs(u) < width - 0.05)
+    assert np.max(np.asarray(angular_error_deg(found.normals, true))[face]) < 0.3
+
+
+@pytest.mark.parametrize("kind", ["composition", "lathe", "thin"])
+def test_objects_are_hardly_ever_in_pieces(kind):
+    @jax.jit
+    def inside(key):
+        shape = shapes.draw_shape(key, jnp.int32(SHAPE_KINDS.index(kind)))
+        axes = (jnp.linspace(-1, 1, 72) * shape.radius + c for c in shape.center)
+        return sdf.distance(shape, tuple(jnp.meshgrid(*axes, indexing="ij"))) < 0
+
+    broken = 0
+    for key in jax.random.split(jax.random.key(3), 24):
+        pieces, _ = ndimage.label(np.asarray(inside(key)), np.ones((3, 3, 3)))
+        sizes = np.sort(np.bincount(pieces.ravel())[1:])
+        broken += sizes[-1] < 0.95 * sizes.sum()
+    assert broken <= 3
+
+
+def test_normals_face_the_viewer_and_are_unit(sphere):
+    mask = np.asarray(sphere.mask)
+    normals = np.asarray(sphere.normals)[mask]
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+    assert np.min(np.sum(normals * np.asarray(sphere.view)[mask], -1)) > -1e-5
+
+
+def test_what_a_contour_hides_begins_right_behind_it():
+    balls = [((0, 0, -0.25), 0.7), ((0, 0.1, 0.8), 0.15)]
+    found = look(make_shape(balls=balls), size=128)
+    u, v = (np.asarray(c).reshape(128, 128) for c in grids.pixel_grid(128))
+    true = np.zeros((128, 128, 3))
+    for (_, y, _), radius in balls:
+        inside = np.hypot(u, v - y) < radius
+        z = np.sqrt(np.maximum(radius**2 - u**2 - (v - y) ** 2, 0))
+        true[inside] = (np.stack([u, v - y, z], -1) / radius)[inside]
+    np.testing.assert_array_equal(found.mask, np.hypot(u, v) < 0.7)
+    error = np.asarray(angular_error_deg(found.normals, true))[found.mask]
+    assert np.max(error) < 1
+
+
+def test_perspective_points_project_to_their_pixels():
+    found = look(
+        make_shape(balls=[((0.1, 0, 0), 0.8)]),
+        perspective=1.0,
+        distance=1.6,
+        half=1.2,
+    )
+    mask = np.asarray(found.mask)
+    x, y, z = np.asarray(found.positions)[mask].T
+    u, v = (np.asarray(c).reshape(32, 32)[mask] for c in grids.pixel_grid(32))
+    depth = 1.6 - z
+    np.testing.assert_allclose(x / depth * 1.6 / 1.2, u, atol=1e-4)
+    np.testing.assert_allclose(y / depth * 1.6 / 1.2, v, atol=1e-4)
+    assert float(found.focal) == pytest.approx(18 * 1.6 / 1.2)
+    # A sphere shows less than a hemisphere: the rim's normals still face away from z.
+    view = np.asarray(found.view)[mask]
+    np.testing.assert_allclose(
+        view,
+        np.stack([-x, -y, depth], -1) / np.linalg.norm([x, y, depth], axis=0)[:, None],
+        atol=1e-4,
+    )
+
+
+def test_entropy_of_known_maps():
+    mask = jnp.ones((16, 16))
+    plane = jnp.broadcast_to(jnp.asarray([0.0, 0, 1]), (16, 16, 3))
+    assert float(geometry.normal_entropy_bits(plane, mask)) == 0
+    centers = (np.arange(16) + 0.5) / 8 - 1
+    every = np.stack([*np.meshgrid(centers, centers), np.ones((16, 16))], -1)
+    entropy = geometry.normal_entropy_bits(jnp.asarray(every, jnp.float32), mask)
+    assert float(entropy) == pytest.approx(8.0, abs=1e-4)
+    assert float(geometry.normal_entropy_bits(plane, 0 * mask)) == 0
+
+
+def test_pick_and_spread_ignore_what_is_not_masked():
+    mask = np.zeros((8, 12), bool)
+    mask[1, 2] = mask[5:, 4:] = True
+    values = jnp.asarray(np.where(mask, 3.0, 1e3), jnp.float32)
+    small = grids.pick(values, jnp.asarray(mask), 4)
+    assert small.shape == (2, 3)
+    np.testing.assert_allclose(small[0, 0], 3.0)
+    full = grids.spread(small, jnp.asarray(mask), 4)
+    np.testing.assert_allclose(full[mask], 3.0, rtol=1e-3)
+
+
+def test_bad_sizes_and_configurations_are_named():
+    with pytest.raises(ValueError, match="multiple of 4, got 30"):
+        geometry.render_geometry(jax.random.key(0), size=30)
+    with pytest.raises(ValueError, match="light_weights: expected 5 weights"):
+        SceneConfig(light_weights=(1.0,))
+    with pytest.raises(ValueError, match="blur_rate: expected a rate"):
+        SceneConfig(blur_rate=2.0)
+    with pytest.raises(ValueError, match="focal_range_mm"):
+        SceneConfig(focal_range_mm=(50.0, 20.0))

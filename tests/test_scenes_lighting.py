@@ -1,0 +1,182 @@
+"""Light and shadow on known objects against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from known_objects import look, make_shape
+
+from unips_jax.render import describe
+from unips_jax.scenes import SceneConfig, grids, lights, materials, shading
+from unips_jax.scenes import render as scenes_render
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    return look(make_shape(balls=[((0, 0, 0), 0.9)]))
+
+
+def matt(geometry_, color=0.6):
+    count = geometry_.mask.size
+    return materials.Surface(
+        base_color=jnp.full((3, count), color),
+        roughness=jnp.full(count, 0.5),
+        metallic=jnp.zeros(count),
+        specular=jnp.float32(0),
+    )
+
+
+def constant_environment(radiance):
+    zeros = jnp.zeros(3)
+    full = zeros + radiance
+    return lights.Environment(
+        rotation=jnp.eye(3)[None],
+        zenith=full,
+        horizon=full,
+        ground=full,
+        axes=jnp.broadcast_to(jnp.eye(3), (lights.NUM_LOBES, 3, 3)),
+        half=jnp.full((lights.NUM_LOBES, 2), 0.1),
+        color=jnp.zeros((lights.NUM_LOBES, 3)),
+        clutter=jnp.float32(0),
+        clutter_frequency=jnp.float32(1),
+        scale=jnp.ones(1),
+    )
+
+
+def directional(geometry_, surface, direction):
+    direction = jnp.asarray(direction, jnp.float32)
+    direction = direction / jnp.linalg.norm(direction)
+    near, radius = jnp.float32(0), jnp.float32(0.005)
+    clear = jax.jit(shading.key_clearance)(geometry_, direction, near)
+    image = shading.shade_key_light(geometry_, surface, direction, near, radius, clear)
+    return np.asarray(image).reshape(3, *geometry_.mask.shape)[0]
+
+
+def test_lambertian_sphere_under_a_directional_light(sphere):
+    for direction in ((0, 0, 1), (-1, 0.3, 1), (0, 1, 0.4)):
+        image = directional(sphere, matt(sphere), direction)
+        unit = np.asarray(direction) / np.linalg.norm(direction)
+        cosine = np.asarray(sphere.normals) @ unit
+        inside = np.asarray(sphere.mask) & (cosine > 0.1)
+        expected = 0.6 / np.pi * cosine
+        np.testing.assert_allclose(image[inside], expected[inside], rtol=0.01)
+        assert np.all(image[np.asarray(sphere.mask) & (cosine < 0)] == 0)
+
+
+def test_intensities_told_are_those_of_a_lambertian_surface(sphere, monkeypatch):
+    albedo = np.array([0.6, 0.4, 0.2], np.float32)
+    surface = matt(sphere)._replace(base_color=jnp.tile(albedo[:, None], 32 * 32))
+    monkeypatch.setattr(scenes_render, "draw_surface", lambda *_: surface)
+    config = SceneConfig(sensor=False, interreflection=False)
+    scene = jax.jit(
+        lambda key: scenes_render.shade(
+            key, sphere, num_images=3, config=config, light_kind=0
+        )
+    )(jax.random.key(1))
+    facts, scene = describe(scene), jax.tree.map(np.asarray, scene)
+    intensities = np.asarray(facts["light_intensities"])
+    assert np.ptp(intensities, axis=0).min() > 0.03
+    cosine = np.einsum("hwc,nc->nhw", scene.normals, facts["light_directions"])
+    expected = albedo * cosine[..., None] * intensities[:, None, None]
+    lit = scene.mask & (cosine > 0.1)
+    assert lit.sum((1, 2)).min() > 200
+    np.testing.assert_allclose(scene.images[lit], expected[lit], rtol=0.01)
+    assert np.all(scene.images[scene.mask & (cosine < 0)] == 0)
+
+
+def test_light_from_the_left_brightens_slopes_that_face_left(sphere):
+    image = directional(sphere, matt(sphere), (-1, 0, 0.5))
+    left = np.asarray(sphere.normals)[..., 0] < -0.3
+    right = np.asarray(sphere.normals)[..., 0] > 0.3
+    assert image[left].mean() > 3 * image[right].mean()
+    assert left[:, :16].sum() > 0 and not left[:, 17:].any()
+    above = directional(sphere, matt(sphere), (0, 1, 0.5))
+    assert above[:16].sum() > 3 * above[16:].sum()
+
+
+def test_lambertian_sphere_under_a_constant_environment(sphere):
+    image, _ = shading.shade_environment(
+        sphere, matt(sphere), constant_environment(2.0)
+    )
+    inside = np.asarray(sphere.mask).reshape(-1)
+    np.testing.assert_allclose(np.asarray(image)[0, :, inside], 1.2, rtol=0.03)
+
+
+def test_cast_shadow_of_a_ball_over_a_plane():
+    shape = make_shape(
+        balls=[((0, 0, 0.5), 0.2)], slabs=[((0, 0, -0.1), (0.9, 0.9, 0.1))]
+    )
+    found = look(shape, size=64)
+    image = directional(found, matt(found), (1, 0, 1))
+    lit = 0.6 / np.pi / np.sqrt(2)
+    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
+    plane = (np.abs(u) < 0.8) & (np.abs(v) < 0.8) & (np.hypot(u, v) > 0.25)
+    # The shadow is an ellipse about x = -0.5, half axes 0.2 sqrt(2) and 0.2.
+    ellipse = np.hypot((u + 0.5) / np.sqrt(2), v)
+    assert np.all(image[plane & (ellipse < 0.14)] < 0.05 * lit)
+    outside = image[plane & (ellipse > 0.26)]
+    np.testing.assert_allclose(outside, lit, rtol=0.05)
+
+
+@pytest.fixture(scope="module")
+def bowl():
+    """A round hollow of radius 0.5, its center 0.1 above a plate's face at z = 0."""
+    shape = make_shape(
+        slabs=[((0, 0, -0.3), (0.7, 0.7, 0.3))], hollows=[((0, 0, 0.1), 0.5)]
+    )
+    # Marched as carefully as a wavy object.
+    return look(shape._replace(step_scale=jnp.float32(0.5)), size=64)
+
+
+def test_a_hollow_is_shadowed_by_its_rim(bowl):
+    light = np.asarray([np.sin(np.pi / 3), 0, np.cos(np.pi / 3)])
+    image = directional(bowl, matt(bowl), light)
+    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
+    inside = np.hypot(u, v) < 0.45
+    point = np.stack([u, v, 0.1 - np.sqrt(np.maximum(0.25 - u**2 - v**2, 0))], -1)
+    from_center = point - [0, 0, 0.1]
+    facing = -(from_center @ light)
+    leaves = point + 2 * facing[..., None] * light  # where the ray meets the sphere
+    shadow = inside & (facing > 0.02) & (leaves[..., 2] < 0)
+    lit = inside & (facing > 0.02) & (leaves[..., 2] > 0)
+    expected = 0.6 / np.pi * facing / 0.5
+    assert np.mean(image[shadow] > 0.5 * expected[shadow]) < 0.35
+    assert np.mean(image[lit] < 0.5 * expected[lit]) < 0.02
+
+
+def test_a_round_hollow_sees_its_share_of_the_sky_and_itself(bowl):
+    around, hidden = shading.shade_environment(
+        bowl, matt(bowl), constant_environment(1.0)
+    )
+    u, v = grids.pixel_grid(64)
+    inside = np.asarray(jnp.hypot(u, v) < 0.45).reshape(-1)
+    # The opening is 0.6 of the sphere, and every point sees it under that share.
+    sky, itself = np.asarray(around)[0, 0, inside], np.asarray(hidden)[0, inside]
+    np.testing.assert_allclose(np.mean(sky), 0.6 * 0.6, atol=0.04)
+    np.testing.assert_allclose(sky + itself, 0.6, atol=1e-4)
+
+
+def test_constant_environment_never_amplifies(sphere):
+    count = sphere.mask.size
+    for metallic in (0.0, 1.0):
+        surface = materials.Surface(
+            jnp.ones((3, count)),
+            jnp.linspace(0.06, 1.0, count),
+            jnp.full(count, metallic),
+            jnp.float32(1),
+        )
+        image, hidden = shading.shade_environment(
+            sphere, surface, constant_environment(1.0)
+        )
+        inside = np.asarray(sphere.mask).reshape(-1)
+        assert np.max(np.asarray(image + hidden)[0, :, inside]) < 1.02
+        assert np.min(np.asarray(image)[0, :, inside]) > 0.3
+
+
+def test_near_light_falls_off_with_the_square_of_the_distance():
+    point = tuple(jnp.asarray([c]) for c in (0.0, 0.0, 1.0))
+    direction, reach, factor = lights.key_light_at(
+        jnp.asarray([0.0, 0.0, 3.0]), jnp.float32(1), point
+    )
+    assert [float(c[0]) for c in direction] == pytest.approx([0, 0, 1])
+    assert (float(reach[0]), float(factor[0])) == pytest.approx((2, 0.25))
