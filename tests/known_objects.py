@@ -10,6 +10,11 @@ CONFIG = SceneConfig()
 FLAT = {"twist": 0.0, "lathe": 0.0, "mirror": 0.0, "wave_warp": 0.0, "wave_ridge": 0.0}
 
 
+def profile(widths=(1, 1, 1, 1, 1), rounding=0.0) -> jax.Array:
+    heights = jnp.linspace(-1, 1, sdf.NUM_KNOTS)
+    return sdf.profile_through(heights, jnp.asarray(widths, jnp.float32), rounding)
+
+
 def make_shape(
     balls=(), slabs=(), hollows=(), noise=0.0, frequency=1.0, amplitude=0.0
 ) -> sdf.Shape:
@@ -58,8 +63,7 @@ def make_shape(
         waves=waves.at[0, 4].set(amplitude),
         step_scale=jnp.float32(1 if amplitude == 0 else 0.7),
         detail=relief,
-        neck=jnp.asarray([0.0, 0.0, 1.0]),
-        taper=jnp.float32(0),
+        profile=profile(),
         slab=jnp.asarray([0.0, 1e3]),
         center=jnp.zeros(3),
         radius=jnp.float32(1),

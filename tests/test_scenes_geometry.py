@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from known_objects import look, make_shape
+from known_objects import look, make_shape, profile
 from scipy import ndimage
 
 from unips_jax.metrics import angular_error_deg
@@ -56,37 +56,42 @@ def test_normals_are_the_derivative_of_the_displaced_surface():
     assert np.quantile(np.asarray(error)[facing], 0.99) < 1.0
 
 
-def test_a_neck_narrows_the_object_and_tilts_its_normals():
-    shape = make_shape(slabs=[((0, 0, 0), (0.5, 0.85, 0.5))])
-    shape = shape._replace(
-        neck=jnp.asarray([0.6, 0.1, 0.4]), step_scale=jnp.float32(0.6)
-    )
+def test_the_profile_is_the_outline_and_tilts_the_normals():
+    shape = make_shape(slabs=[((0, 0, 0), (0.5, 0.9, 0.5))])
+    knots, widths = np.linspace(-1, 1, 5), np.array([0.4, 1, 0.3, 0.8, 0.6])
+    shape = shape._replace(profile=profile(widths), step_scale=jnp.float32(0.6))
     found = look(shape, size=64)
     u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
-    away = (v - 0.1) / 0.4
-    width = 0.5 * (1 - 0.6 / (1 + away**2))
-    inside = np.abs(v) < 0.8
+    width = 0.5 * np.interp(v, knots, widths)
+    inside = np.abs(v) < 0.85
     assert np.all(found.mask[inside & (np.abs(u) < width - 0.03)])
     assert not np.any(found.mask[inside & (np.abs(u) > width + 0.03)])
-    slope = 0.5 * 0.6 * 2 * away / 0.4 / (1 + away**2) ** 2  # of the face z = width(y)
+    index = np.searchsorted(knots, v) - 1
+    slope = 0.5 * (np.diff(widths) / np.diff(knots))[index]  # of the face z = width(y)
     true = np.stack([0 * v, -slope, np.ones_like(v)], -1)
-    face = inside & (np.abs(u) < width - 0.05)
+    away = np.min(np.abs(v[..., None] - knots), -1) > 0.03
+    face = inside & away & (np.abs(u) < width - 0.05)
     assert np.max(np.asarray(angular_error_deg(found.normals, true))[face]) < 0.3
 
 
-@pytest.mark.parametrize("taper", [0.6, -0.6])
-def test_a_taper_narrows_the_object_towards_one_end(taper):
-    shape = make_shape(slabs=[((0, 0, 0), (0.5, 0.85, 0.5))])
-    shape = shape._replace(taper=jnp.float32(taper), step_scale=jnp.float32(0.8))
-    found = look(shape, size=64)
-    u, v = (np.asarray(c).reshape(64, 64) for c in grids.pixel_grid(64))
-    width = 0.5 * (1 - 0.6 * (0.5 + 0.5 * np.sign(taper) * v))
-    inside = np.abs(v) < 0.8
-    assert np.all(found.mask[inside & (np.abs(u) < width - 0.03)])
-    assert not np.any(found.mask[inside & (np.abs(u) > width + 0.03)])
-    true = np.array([0.0, 0.15 * np.sign(taper), 1.0])  # of the face z = width(y)
-    face = inside & (np.abs(u) < width - 0.05)
-    assert np.max(np.asarray(angular_error_deg(found.normals, true))[face]) < 0.3
+def test_rounded_knots_of_a_profile_are_near_the_straight_ones():
+    y = jnp.linspace(-1, 1, 201)
+    widths = jnp.asarray([0.5, 1.0, 0.2, 0.9, 0.4])
+    shape = make_shape()._replace(profile=profile(widths, 0.1))
+    rounded = sdf._width(shape, y)
+    straight = jnp.interp(y, jnp.linspace(-1, 1, 5), widths)
+    away = jnp.min(abs(y[:, None] - jnp.asarray([-0.5, 0.0, 0.5])), -1)
+    np.testing.assert_allclose(rounded[away > 0.2], straight[away > 0.2], atol=0.06)
+    bends = 0.5 * np.diff(np.diff(widths) / 0.5)
+    np.testing.assert_allclose((rounded - straight)[50:151:50], 0.1 * bends, atol=0.03)
+
+
+def test_drawn_shapes_are_finite():
+    kinds = jnp.tile(jnp.arange(len(SHAPE_KINDS)), 40)
+    keys = jax.random.split(jax.random.key(3), kinds.size)
+    drawn = jax.jit(jax.vmap(shapes.draw_shape))(keys, kinds)
+    for path, values in jax.tree.leaves_with_path(drawn):
+        assert np.all(np.isfinite(values)), jax.tree_util.keystr(path)
 
 
 @pytest.mark.parametrize("kind", ["composition", "lathe", "thin"])

@@ -43,7 +43,7 @@ class SceneConfig:
     """
 
     light_weights: tuple[float, ...] = (0.3, 0.25, 0.25, 0.1, 0.1)
-    shape_weights: tuple[float, ...] = (0.17, 0.25, 0.16, 0.1, 0.08, 0.14, 0.1)
+    shape_weights: tuple[float, ...] = (0.16, 0.22, 0.16, 0.14, 0.08, 0.14, 0.1)
     material_weights: tuple[float, ...] = (
         *(0.12, 0.1, 0.1, 0.09, 0.09, 0.13),
         *(0.14, 0.06, 0.1, 0.07),

@@ -18,6 +18,7 @@ NUM_UNIONS = 4
 NUM_CUTS = 2
 NUM_SLOTS = NUM_UNIONS + NUM_CUTS
 NUM_WAVES = 5
+NUM_KNOTS = 5
 SOLID = 8.0
 
 
@@ -89,10 +90,9 @@ class Shape(NamedTuple):
         lathe: 1 where the object is turned about y, else 0.
         mirror: 1 where it is symmetric in x, else 0.
         twist: radians per unit along y.
-        neck: `[3]`: the share of its width that the object loses at a height y, that
-            height, and the distance from it at which half of this is left.
-        taper: in (-1, 1): the share of its width that the object loses from the
-            bottom of its sphere to the top, or the other way round where negative.
+        profile: `[P, 3]`, how wide the object is at heights from -1 to 1, the bottom
+            and top of its sphere: rows hold a knot's height, the length over which it
+            is rounded and half the bend there; see `profile_through`.
         slab: `[2]`: a height y and half a thickness; what is not between these two
             planes is cut away.
         waves: `[W, 5]`: cycles per unit (3), phase in cycles, amplitude.
@@ -109,8 +109,7 @@ class Shape(NamedTuple):
     lathe: Array
     mirror: Array
     twist: Array
-    neck: Array
-    taper: Array
+    profile: Array
     slab: Array
     waves: Array
     wave_warp: Array
@@ -154,14 +153,35 @@ def _compose(d: Array, slot: Array, point: Point) -> Array:
     return sign * (_smaller(d, e) - h * h * (0.25 / blend))
 
 
+def profile_through(heights: Array, widths: Array, rounding: Array) -> Array:
+    """The `Shape.profile` that is linear between knots.
+
+    At the height y it is the sum of half bends times |y - height|.
+
+    Args:
+        heights: `[P]`, rising from -1 to 1.
+        widths: `[P]`, in (0, 1].
+        rounding: length over which the knots between the ends are rounded.
+
+    Returns:
+        `[P, 3]`.
+    """
+    slopes = jnp.diff(widths) / jnp.diff(heights)
+    ends = 0.5 * (widths[:1] + widths[-1:])
+    before = jnp.concatenate([-ends, slopes])
+    after = jnp.concatenate([slopes, ends])
+    lengths = jnp.full_like(heights, rounding).at[jnp.array([0, -1])].set(0.0)
+    return jnp.stack([heights, lengths, 0.5 * (after - before)], -1)
+
+
 def _width(shape: Shape, y: Array) -> Array:
-    """Share of its width that the object keeps at heights y, in (0, 1]."""
-    depth, height, reach = shape.neck
-    away = (y - height) / reach
-    narrowed = 1 - depth / (1 + away * away)
-    rise = (y - shape.center[1]) / shape.radius
-    upwards = jnp.clip(0.5 + 0.5 * rise * jnp.sign(shape.taper), 0.0, 1.0)
-    return narrowed * (1 - jnp.abs(shape.taper) * upwards)
+    """The share of its width that the object keeps at y, in (0, 1]."""
+    height = jnp.clip((y - shape.center[1]) / shape.radius, -1.0, 1.0)
+    width = jnp.zeros_like(y)
+    for at, length, bend in shape.profile:
+        away = height - at
+        width += bend * jnp.sqrt(away * away + length * length + 1e-9)
+    return width
 
 
 def _fold(shape: Shape, point: Point, width: Array) -> Point:

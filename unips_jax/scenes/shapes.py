@@ -1,13 +1,16 @@
 """Draws shapes: what the slots of `sdf.Shape` hold for each kind of object."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from unips_jax.scenes.config import SHAPE_KINDS
-from unips_jax.scenes.draws import Draws
+from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.sdf import (
+    NUM_KNOTS,
     NUM_SLOTS,
     NUM_UNIONS,
     NUM_WAVES,
@@ -16,6 +19,7 @@ from unips_jax.scenes.sdf import (
     Primitives,
     Shape,
     pack,
+    profile_through,
 )
 
 # Columns: ellipsoid, box, cylinder, capsule, torus, frame.
@@ -24,7 +28,7 @@ _TYPE_WEIGHTS = np.array(
         [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # blob
         [0.35, 0.15, 0.15, 0.15, 0.12, 0.08],  # composition
         [0.05, 0.4, 0.3, 0.05, 0.1, 0.1],  # machine
-        [0.45, 0.2, 0.15, 0.1, 0.1, 0.0],  # lathe
+        [0.3, 0.35, 0.15, 0.1, 0.1, 0.0],  # lathe
         [0.1, 0.1, 0.05, 0.4, 0.25, 0.1],  # thin
         [0.5, 0.12, 0.1, 0.14, 0.14, 0.0],  # relief
         [0.3, 0.3, 0.1, 0.1, 0.1, 0.1],  # plate
@@ -32,17 +36,16 @@ _TYPE_WEIGHTS = np.array(
     np.float32,
 )
 # Columns: least and greatest size, thickness factor, blend low and high, chance that
-# a slot is used, chance of a cut, of a twist, of a mirror, of a neck, of flat ends, of
-# a taper.
+# a slot is used, chance of a cut, of a twist, of a mirror, of a profile, of flat ends.
 _TRAITS = np.array(
     [
-        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.4, 0.2, 0.25, 0.25, 0.15, 0.15],
-        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3, 0.25, 0.15, 0.15],
-        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3, 0.25, 0.15, 0.15],
-        [0.3, 0.6, 0.9, 0.03, 0.3, 0.9, 0.7, 0.1, 0.0, 0.35, 0.5, 0.4],
-        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3, 0.25, 0.1, 0.1],
-        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.65, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.65, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.35, 0.8, 1.0, 0.15, 0.5, 0.8, 0.4, 0.2, 0.25, 0.35, 0.15],
+        [0.25, 0.7, 0.9, 0.03, 0.25, 0.75, 0.4, 0.25, 0.3, 0.35, 0.15],
+        [0.25, 0.7, 0.9, 0.01, 0.06, 0.75, 0.6, 0.05, 0.3, 0.35, 0.15],
+        [0.3, 0.6, 0.9, 0.03, 0.3, 0.6, 0.7, 0.1, 0.0, 0.8, 0.5],
+        [0.35, 0.8, 0.35, 0.02, 0.15, 0.9, 0.2, 0.2, 0.3, 0.3, 0.1],
+        [0.15, 0.6, 0.8, 0.03, 0.2, 0.8, 0.65, 0.0, 0.0, 0.0, 0.0],
+        [0.1, 0.35, 0.8, 0.02, 0.08, 0.5, 0.65, 0.0, 0.0, 0.0, 0.0],
     ],
     np.float32,
 )
@@ -54,7 +57,7 @@ _WAVES = np.array(
         [0.1, 0.05, 0.2, 0.5, 3.0],
         [0.25, 0.05, 0.3, 0.5, 3.0],
         [0.2, 0.05, 0.2, 0.5, 2.0],
-        [0.8, 0.2, 0.9, 0.5, 2.5],
+        [0.8, 0.2, 0.9, 0.5, 4.0],
         [0.5, 0.05, 0.25, 0.4, 2.5],
     ],
     np.float32,
@@ -212,6 +215,11 @@ def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
     used = used.at[:2].set(True)
     primitives, reach = _typed_primitives(draws, kind, size, blend)
     lathe = kind == LATHE
+    # What a turned object begins with stands upright, unless it is a ring.
+    begins = lathe & (jnp.arange(NUM_SLOTS) == 0) & (primitives.hole == SOLID)
+    upright = rotation_about(2, 0.5 * math.pi)
+    rotation = jnp.where(begins[:, None, None], upright, primitives.rotation)
+    primitives = primitives._replace(rotation=rotation)
     centers = _attached_centers(draws, primitives, size, used, lathe)
     cuts = jnp.stack(_turned_cuts(draws, centers, size, used))
     centers = centers.at[NUM_UNIONS:].set(jnp.where(lathe, cuts, centers[NUM_UNIONS:]))
@@ -284,18 +292,27 @@ def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
     )
 
 
-def _profile(
-    draws: Draws, traits: Array, middle: Array, radius: Array
-) -> tuple[Array, Array, Array]:
-    """Draws `Shape.neck`, its depth 0 where there is none, `taper` and `slab`."""
-    depth = draws.uniform(0.3, 0.75) * draws.chance(traits[9])
-    height = middle + draws.uniform(-0.35, 0.35) * radius
-    neck = jnp.stack([depth, height, draws.uniform(0.3, 0.8) * radius])
-    cut = draws.chance(traits[10])
-    half = jnp.where(cut, draws.uniform(0.35, 0.75) * radius, 1e3)
-    slab = jnp.stack([middle + draws.uniform(-0.25, 0.25) * radius, half])
-    taper = draws.uniform(0.2, 0.75) * draws.chance(traits[11])
-    return neck, jnp.where(draws.chance(0.5), taper, -taper), slab
+def _profile(draws: Draws, rate: Array) -> tuple[Array, Array]:
+    """Draws `Shape.profile`, that of full width where none, and its steepest slope.
+
+    A third of the profiles are straight: cones.
+    """
+    away = draws.uniform(-0.2, 0.2, NUM_KNOTS - 2)
+    heights = jnp.linspace(-1.0, 1.0, NUM_KNOTS).at[1:-1].add(away)
+    widths = draws.log_uniform(0.2, 1.0, NUM_KNOTS)
+    ends = jnp.stack([widths[0], widths[-1]])
+    straight = jnp.interp(heights, jnp.asarray([-1.0, 1.0]), ends)
+    widths = jnp.where(draws.chance(1 / 3), straight, widths)
+    widths = jnp.where(draws.chance(rate), widths / jnp.max(widths), 1.0)
+    profile = profile_through(heights, widths, draws.log_uniform(0.01, 0.2))
+    return profile, jnp.max(jnp.abs(jnp.diff(widths) / jnp.diff(heights)))
+
+
+def _slab(draws: Draws, rate: Array, middle: Array, radius: Array) -> Array:
+    """Draws `Shape.slab`, far away where the ends are not flat."""
+    half = draws.uniform(0.35, 0.75) * radius
+    offset = draws.uniform(-0.25, 0.25) * radius
+    return jnp.stack([middle + offset, jnp.where(draws.chance(rate), half, 1e3)])
 
 
 def draw_shape(key: Array, kind: Array) -> Shape:
@@ -327,15 +344,16 @@ def draw_shape(key: Array, kind: Array) -> Shape:
         jnp.sum(amplitude * frequency) * 6.3 * (1 + 6.3 * warp * amplitude[0]) * 0.5
     )
     twisting = jnp.abs(twist) * radius * 0.7 * (1 - lathe)
-    neck, taper, slab = _profile(Draws(key_profile, 16), traits, center[1], radius)
-    tapering = neck[0] * radius / neck[2] + 0.5 * jnp.abs(taper)
+    outline = Draws(key_profile, 32)
+    profile, steepest = _profile(outline, traits[9])
+    slab = _slab(outline, traits[10], center[1], radius)
+    tapering = 1.4 * steepest
     return Shape(
         slots=pack(primitives),
         lathe=lathe,
         mirror=mirror * (1 - lathe),
         twist=twist * (1 - lathe),
-        neck=neck,
-        taper=taper,
+        profile=profile,
         slab=slab,
         waves=jnp.concatenate(
             [
