@@ -217,7 +217,7 @@ def _slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:
     lathe = kind == LATHE
     # What a turned object begins with stands upright, unless it is a ring.
     begins = lathe & (jnp.arange(NUM_SLOTS) == 0) & (primitives.hole == SOLID)
-    upright = rotation_about(2, 0.5 * math.pi)
+    upright = rotation_about(2, jnp.asarray(0.5 * math.pi))
     rotation = jnp.where(begins[:, None, None], upright, primitives.rotation)
     primitives = primitives._replace(rotation=rotation)
     centers = _attached_centers(draws, primitives, size, used, lathe)
