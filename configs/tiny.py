@@ -3,22 +3,23 @@
     unips train --config configs/tiny.py --workdir runs/tiny
 
 6.4 M parameters. The shipped weights are interim: about 9,650 steps of 8 objects and
-15,050 of 12 in seventeen runs on two CPU cores (the last 2,650 took 106 minutes, beside
-other work), 13.8 degrees on 256 held-out scenes with 8 images (constant normal 39.5);
-the 3,000 steps below were not run in one go yet.
+18,030 of 12 in eighteen runs on two CPU cores (the last 2,600 took 80 minutes), 13.4
+degrees on 256 held-out scenes with 8 images (constant normal 39.7); the 3,000 steps
+below were not run in one go yet.
 
-Until the last 4,630 steps their third stage was cut off. Muon's steps had pushed every
+Until the last 7,600 steps their third stage was cut off. Muon's steps had pushed every
 ReLU behind the pyramid pooling below zero within the first 250, and nothing before it
 had a gradient any more: some 70 % of the parameters (a run's lines now tell the share,
 as "untrained"). Drawn anew, with shorter steps for wide convolutions, most ReLUs were
 off again after 450 steps; without them (`linear_pooling`) the stage learns. The ReLUs
-of the pooling's branches were off too; the last 4,150 steps leave them out as well,
-and began with the branches drawn anew. `observation_dim` came with the 4,630. What
+of the pooling's branches were off too; the last 7,130 steps leave them out as well,
+and began with the branches drawn anew. `observation_dim` came with the 7,600. What
 each gains was not measured apart.
 
-Until the last 1,765 steps, rays that graze a contour were given up: contours inside an
-object were gaps, and hollows were cut out. The weights before the last run had 13.8
-degrees on those scenes, and have 14.6 without the gaps.
+Scenes changed as well. Until the last 4,740 steps, rays that graze a contour were given
+up: contours inside an object were gaps, and hollows were cut out. Until the last 2,600,
+hardly any object was a vase, a bottle or a steep cone; on scenes with them the weights
+before have @OLD@ degrees.
 
 What was tried in short runs: Muon beats AdamW by about 3 degrees after 100 steps from
 the same start. From nothing, the full distribution of scenes stays near the constant
