@@ -153,15 +153,15 @@ def _compose(d: Array, slot: Array, point: Point) -> Array:
     return sign * (_smaller(d, e) - h * h * (0.25 / blend))
 
 
-def profile_through(heights: Array, widths: Array, rounding: Array) -> Array:
+def profile_through(heights: Array, widths: Array, rounding: Array | float) -> Array:
     """The `Shape.profile` that is linear between knots.
 
     At the height y it is the sum of half bends times |y - height|.
 
     Args:
-        heights: `[P]`, rising from -1 to 1.
+        heights: `[P]`, rising from -1 to 1, in radii of the object's sphere.
         widths: `[P]`, in (0, 1].
-        rounding: length over which the knots between the ends are rounded.
+        rounding: over how much height the knots between the ends are rounded.
 
     Returns:
         `[P, 3]`.
