@@ -173,6 +173,26 @@ def test_constant_environment_never_amplifies(sphere):
         assert np.min(np.asarray(image)[0, :, inside]) > 0.3
 
 
+def test_mean_light_is_where_the_light_comes_from(sphere):
+    def mean(vector, near, color, around):
+        keys = lights.KeyLights(
+            vector=jnp.asarray([vector], jnp.float32),
+            near=jnp.asarray([near], jnp.float32),
+            radius=jnp.zeros(1),
+            color=jnp.full((1, 3), color, jnp.float32),
+        )
+        environment = constant_environment(around)
+        return np.asarray(shading.light_means(sphere, keys, environment))[0]
+
+    np.testing.assert_allclose(mean((0.6, 0, 0.8), 0, 2, 0), (0.6, 0, 0.8), atol=1e-6)
+    np.testing.assert_allclose(mean((3, 0, 4), 1, 2, 0), (0.6, 0, 0.8), atol=1e-6)
+    # The table of directions leaves a cap behind the object out.
+    np.testing.assert_allclose(mean((0, 0, 1), 0, 0, 1), 0, atol=0.1)
+    # A lamp at distance 2 gives a quarter of its power; the other half is everywhere.
+    half = mean((0, 0, 2), 1, 4 * 4 * np.pi, 1)
+    np.testing.assert_allclose(half, (0, 0, 0.5), atol=0.06)
+
+
 def test_near_light_falls_off_with_the_square_of_the_distance():
     point = tuple(jnp.asarray([c]) for c in (0.0, 0.0, 1.0))
     direction, reach, factor = lights.key_light_at(

@@ -13,7 +13,7 @@ from unips_jax.scenes.geometry import Geometry, render_geometry
 from unips_jax.scenes.lights import draw_lights
 from unips_jax.scenes.materials import draw_surface
 from unips_jax.scenes.sensor import record
-from unips_jax.scenes.shading import radiance, split
+from unips_jax.scenes.shading import light_means, radiance, split
 from unips_jax.scenes.tracing import object_point
 
 
@@ -32,6 +32,9 @@ class Scene(NamedTuple):
         focal: 35 mm equivalent in mm; 0 for orthographic cameras.
         light_directions: `[N, 3]`, unit, of directional scenes, else zero.
         light_intensities: `[N, 3]` likewise, exposure and white balance included.
+        light_means: `[N, 3]`, the mean direction of each image's light at the object's
+            centre, weighted by power: 1 long for a single light, 0 for light that
+            comes equally from everywhere.
     """
 
     images: Array
@@ -43,6 +46,7 @@ class Scene(NamedTuple):
     focal: Array
     light_directions: Array
     light_intensities: Array
+    light_means: Array
 
 
 def shade(
@@ -93,6 +97,7 @@ def shade(
         focal=geometry.focal,
         light_directions=jnp.where(directional, keys.vector, 0.0),
         light_intensities=jnp.where(directional, keys.color * gain, 0.0),
+        light_means=light_means(geometry, keys, environment),
     )
 
 

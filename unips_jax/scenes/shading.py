@@ -127,15 +127,7 @@ def shade_environment(
     cosine = jnp.maximum(sum(n * w for n, w in zip(normal, basis, strict=True)), 0.0)
     weight = cosine / jnp.maximum(jnp.sum(cosine, 0), 1e-3)  # [D, P]
     seen = weight * visibility
-    width = math.sqrt(1.8 / geometry.directions.shape[0])
-    towards = split(geometry.directions)
-    table = jnp.stack(
-        jax.vmap(
-            lambda r: jnp.stack(
-                environment_radiance(environment, r, towards, jnp.float32(width))
-            )
-        )(environment.rotation),
-    )  # [N, 3, D]
+    table = _environment_table(geometry, environment)
     open_share = jnp.sum(seen, 0)
     irradiance = jnp.einsum("dp,ncd->ncp", seen, table)
     # The glossy lobe: environment around the mirror direction, where it is seen.
@@ -155,6 +147,32 @@ def shade_environment(
     total = diffuse * irradiance + specular * free * glossy
     hidden = diffuse * (1 - open_share) + specular * (1 - free)
     return total * environment.scale[:, None, None], hidden
+
+
+def light_means(geometry: Geometry, keys: KeyLights, environment: Environment) -> Array:
+    """Mean direction of each image's light at the object's centre, `[N, 3]`.
+
+    Weighted by power: a single light gives its unit direction, light that comes equally
+    from everywhere gives zero.
+    """
+    squared = jnp.sum(jnp.square(keys.vector), -1, keepdims=True)  # [N, 1]
+    fading = jnp.where(keys.near[:, None] > 0, 1 / squared, 1.0)
+    power = jnp.mean(keys.color, -1, keepdims=True) * fading
+    total = power * keys.vector * jax.lax.rsqrt(squared)
+    around = _environment_table(geometry, environment).mean(axis=1)  # [N, D]
+    around = around * environment.scale[:, None]
+    around = around * (4 * math.pi / around.shape[1])
+    total = total + around @ geometry.directions
+    return total / (power + jnp.sum(around, -1, keepdims=True))
+
+
+def _environment_table(geometry: Geometry, environment: Environment) -> Array:
+    """Radiance from the geometry's directions before scaling, `[N, 3, D]`."""
+    width = jnp.float32(math.sqrt(1.8 / geometry.directions.shape[0]))
+    towards = split(geometry.directions)
+    return jax.vmap(
+        lambda r: jnp.stack(environment_radiance(environment, r, towards, width))
+    )(environment.rotation)
 
 
 def radiance(
