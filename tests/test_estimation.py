@@ -60,9 +60,20 @@ def test_chunked_equals_whole(params, monkeypatch):
     np.testing.assert_allclose(chunked, whole, atol=1e-5)
 
 
-@pytest.mark.parametrize("communication", ["none", "during", "pre", "post"])
-def test_encoding_in_pieces_is_the_encoder(params, monkeypatch, communication):
-    config = dataclasses.replace(SMALL, communication=communication)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"communication": "none"},
+        {"communication": "during"},
+        {"communication": "pre"},
+        {"communication": "post"},
+        {"consensus_blocks": 2, "consensus_dim": 32},
+    ],
+    ids=lambda changes: "-".join(map(str, changes.values())),
+)
+def test_encoding_in_pieces_is_the_encoder(monkeypatch, changes):
+    config = dataclasses.replace(SMALL, **changes)
+    params = lively_weights(config)
     images = jax.random.uniform(jax.random.key(1), (5, 16, 16, 4))
     valid = jnp.array([True, True, False, True, True])
     monkeypatch.setattr(estimation, "CHUNK_TOKENS", 30)

@@ -52,7 +52,12 @@ VARIANTS = [
     for attention, communication in itertools.product(
         ("pre_norm", "released"), ("none", "during", "pre", "post")
     )
-] + [{"aggregation": "max"}, {"context_sampling": "corner"}, {"observation_dim": 4}]
+] + [
+    {"aggregation": "max"},
+    {"context_sampling": "corner"},
+    {"observation_dim": 4},
+    {"consensus_blocks": 2, "consensus_dim": 32},
+]
 
 
 @pytest.mark.parametrize(
@@ -236,6 +241,8 @@ def test_paper_size():
         ({"patch_channels": (48,)}, "patch_channels: expected two widths"),
         ({"aggregation_layers": -1}, "aggregation_layers"),
         ({"observation_dim": -1}, "observation_dim"),
+        ({"consensus_blocks": -1}, "consensus_blocks"),
+        ({"consensus_dim": 48}, "consensus_dim: expected a multiple of 32, got 48"),
     ],
 )
 def test_configuration_errors_name_the_field(changes, field):

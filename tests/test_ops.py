@@ -93,6 +93,17 @@ def test_normalize_shows_what_is_not_finite():
     np.testing.assert_array_equal(ops.normalize(x), expected)
 
 
+@pytest.mark.parametrize("axis", [0, 1, -1])
+def test_largest_is_the_maximum_with_one_elements_gradient(axis):
+    x = jnp.asarray(np.random.default_rng(0).integers(0, 3, (4, 5, 6)), jnp.float32)
+    np.testing.assert_array_equal(ops.largest(x, axis), jnp.max(x, axis))
+    gradient = jax.grad(lambda x: jnp.sum(ops.largest(x, axis)))(x)
+    assert set(np.unique(gradient)) == {0, 1}
+    np.testing.assert_array_equal(jnp.sum(gradient, axis), 1)
+    np.testing.assert_array_equal(jnp.sum(gradient * x, axis), jnp.max(x, axis))
+    assert jnp.isnan(ops.largest(x.at[1, 2, 3].set(jnp.nan), axis)).any()
+
+
 @pytest.mark.parametrize("strides", [(1, 1), (2, 2)])
 @pytest.mark.parametrize("size", [(1, 1), (3, 3), (2, 3)])
 def test_convolution_has_the_librarys_derivatives(strides, size):

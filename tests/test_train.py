@@ -99,11 +99,12 @@ def test_augmented_normals_stay_those_of_the_surface():
     images = np.stack(3 * [height])[..., None] * np.array([1, 2, 4], np.float32)
     mask = height > 10.2
     # Longer where the plane is higher, so that every pixel differs.
-    scene = images, mask, height[..., None] * normal
-    many = jax.jit(jax.vmap(augment, (None, None, None, 0)))
+    scene = images, mask, height[..., None] * normal, np.stack(3 * [normal])
+    many = jax.jit(jax.vmap(augment, (None, None, None, None, 0)))
     keys = jax.random.split(jax.random.key(0), 200)
     turns, orders = [], []
-    for images, mask, normals in zip(*map(np.asarray, many(*scene, keys)), strict=True):
+    augmented = map(np.asarray, many(*scene, keys))
+    for images, mask, normals, lights in zip(*augmented, strict=True):
         factors = images / images.min(-1, keepdims=True)
         orders += [tuple(each[0, 0].round().astype(int)) for each in factors]
         found = images.min(-1)
@@ -114,6 +115,7 @@ def test_augmented_normals_stay_those_of_the_surface():
         down, right = (slope.mean() for slope in np.gradient(found[0]))
         expected = 0.8 * np.array([-right, down, 1])
         np.testing.assert_allclose(unit[0, 0], expected, atol=1e-4)
+        np.testing.assert_allclose(lights, np.stack(3 * [expected]), atol=1e-4)
         turns.append(tuple(unit[0, 0].round(2)))
     # Two flips and a transposition, and of six orders of colours half the plain one.
     assert min(turns.count(turn) for turn in set(turns)) > 200 / 8 / 3

@@ -62,21 +62,21 @@ def decoder_operations(config: ModelConfig) -> float:
     return 2 * total
 
 
-def encoder_operations(config: ModelConfig) -> float:
-    """Multiplications and additions of the plain encoder, per image.
+def encoder_operations(config: ModelConfig, images: int) -> float:
+    """Multiplications and additions of the plain encoder, of a set of images.
 
     As the compiler counts them; padded windows count as what they are.
     """
     from unips_jax.models.unips import UniPS
 
     size = config.canonical_size
-    images = jax.ShapeDtypeStruct((1, size, size, 4), jnp.float32)
+    inputs = jax.ShapeDtypeStruct((images, size, size, 4), jnp.float32)
     params = jax.eval_shape(functools.partial(random_weights, config))
 
-    def run(params: Any, images: jax.Array) -> jax.Array:
-        return UniPS(config).bind({"params": params}).encoder(images)
+    def run(params: Any, inputs: jax.Array) -> jax.Array:
+        return UniPS(config).bind({"params": params}).encoder(inputs)
 
-    cost = jax.jit(run).lower(params, images).cost_analysis()
+    cost = jax.jit(run).lower(params, inputs).cost_analysis()
     return float(cost["flops"]) if cost else float("nan")
 
 
@@ -156,7 +156,7 @@ def estimation_benchmark(
     forget_peak_memory()
     stack, mask = map(jnp.asarray, disc(images, size))
     decoder = decoder_operations(config) * images * int(mask.sum())
-    encoder = encoder_operations(config) * images
+    encoder = encoder_operations(config, images)
     run = functools.partial(estimate_normals, params, stack, mask, config=config)
     nothing = jnp.zeros_like(mask)  # no pixel to decode: the same program's encoder
     empty = functools.partial(estimate_normals, params, stack, nothing, config=config)
@@ -190,6 +190,7 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
         "images": jnp.asarray(stack)[None].repeat(data.batch_size, 0),
         "mask": jnp.asarray(mask)[None].repeat(data.batch_size, 0),
         "normals": jnp.asarray(normals)[None].repeat(data.batch_size, 0),
+        "lights": jnp.zeros((data.batch_size, images, 3)),
     }
     state = new_state(config, jax.random.key(0))
     step = compile_together(
@@ -203,7 +204,8 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
     pixels = data.pixels_for(images)
     if data.grid_loss:
         pixels += (model.canonical_size // 4) ** 2
-    forward = images * (encoder_operations(model) + decoder_operations(model) * pixels)
+    forward = encoder_operations(model, images)
+    forward += decoder_operations(model) * images * pixels
     rates, times = [matrix_rate(model)], []
     for _ in range(repeats):
         start = time.perf_counter()

@@ -58,6 +58,10 @@ class ModelConfig:
         observation_dim: width of an embedding of a pixel's observations, set beside
             their mean over the images, that scales and shifts its contexts; 0: none
             (the paper's network).
+        consensus_blocks: blocks of attention over the one map that all images of a set
+            share, our addition to the encoder (see `models.consensus`); 0: none. They
+            attend to the whole map: their cost grows as canonical_size**4.
+        consensus_dim: their width, a multiple of 32.
         dropout_rate: dropout in set attention, training only.
         context_sampling: where a pixel reads the contexts: at its centre ("center",
             clamped at the border) or at its corner with zeros beyond the border
@@ -92,6 +96,8 @@ class ModelConfig:
     pma_mlp_dim: int = 512
     predictor_dim: int = 192
     observation_dim: int = 0
+    consensus_blocks: int = 0
+    consensus_dim: int = 128
     dropout_rate: float = 0.1
     context_sampling: Literal["center", "corner"] = "center"
     dtype: Literal["float32", "bfloat16", "float64"] = "float32"
@@ -110,7 +116,9 @@ class ModelConfig:
             *("hidden_dim", "aggregation_heads", "aggregation_mlp_dim"),
             *("pma_mlp_dim", "predictor_dim"),
         )
-        require_not_negative(self, "aggregation_layers", "observation_dim")
+        require_not_negative(
+            self, "aggregation_layers", "observation_dim", "consensus_blocks"
+        )
         for name in ("patch_channels", "depths", "num_heads", "pool_scales"):
             values = getattr(self, name)
             require(
@@ -147,6 +155,10 @@ class ModelConfig:
             self.hidden_dim % self.aggregation_heads == 0,
             f"aggregation_heads: expected a divisor of hidden_dim={self.hidden_dim}, "
             f"got {self.aggregation_heads}",
+        )
+        require(
+            self.consensus_dim >= 32 and self.consensus_dim % 32 == 0,
+            f"consensus_dim: expected a multiple of 32, got {self.consensus_dim}",
         )
         for name in ("drop_path_rate", "dropout_rate"):
             rate = getattr(self, name)

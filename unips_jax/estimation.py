@@ -83,8 +83,10 @@ def encode(
     contexts = map_chunks(encoder.fuse, maps, CHUNK_IMAGES)
     if config.communication == "post":
         contexts = communicate(contexts, 0)
+    contexts, _ = encoder.agree(contexts, valid)
     if uniform_contexts:
-        inside = ops.resize_mask_nearest(images[..., 3], contexts.shape[1:3])[..., None]
+        _, height, width, _ = contexts.shape
+        inside = ops.resize_mask_nearest(images[..., 3], (height, width))[..., None]
         total = jnp.sum(contexts * inside, axis=(1, 2), keepdims=True)
         mean = total / jnp.maximum(jnp.sum(inside, axis=(1, 2), keepdims=True), 1)
         contexts = jnp.broadcast_to(mean, contexts.shape)

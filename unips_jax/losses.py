@@ -30,7 +30,11 @@ from unips_jax.estimation import (
     map_chunks,
     split_chunks,
 )
+from unips_jax.models.consensus import Guesses
 from unips_jax.models.unips import UniPS
+
+# What the guesses of a consensus weigh beside the normals.
+_GUESS_WEIGHTS = {"coarse": 0.5, "lights": 0.25}
 
 
 def squared_distance(predicted: Array, true: Array) -> Array:
@@ -129,6 +133,7 @@ def training_loss(
     *,
     config: ModelConfig,
     num_pixels: int,
+    lights: Array | None = None,
     frame: FrameKind = "image",
     grid_loss: bool = True,
     squared_loss: bool = True,
@@ -136,7 +141,8 @@ def training_loss(
 ) -> tuple[Array, dict[str, Array]]:
     """The mean loss of B objects, differentiable by the parameters.
 
-    The decoder's gradient is computed with its value, see `chunked_sum`.
+    The decoder's gradient is computed with its value, see `chunked_sum`. A network with
+    a consensus is also judged by its guesses of coarse normals and of the lights.
 
     Args:
         params: the network's parameters.
@@ -146,13 +152,15 @@ def training_loss(
         keys: `[B]`, for pixels and dropout.
         config: the network's configuration.
         num_pixels: full-resolution pixels to draw.
+        lights: `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown.
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
         grid_loss: include the sampling at the contexts' grid.
         squared_loss: the distances of the normals are squared, as in the paper.
         deterministic: no dropout.
 
     Returns:
-        The loss, and metrics: the mean angular error in degrees over the drawn pixels.
+        The loss, and metrics: the mean angular error in degrees over the drawn pixels,
+        and the mean distances of the guesses ("coarse", "lights") where there are any.
     """
     # On CPU the decoder's chunks are small: nothing to recompute.
     on_cpu = jax.default_backend() == "cpu"
@@ -168,7 +176,7 @@ def training_loss(
     )
     prepared = jax.vmap(prepare)(images, mask, normals, draws[:, 0])
     encoder_key, decoder_key = jax.random.split(draws[0, 1])
-    contexts = _contexts(
+    contexts, guesses = _contexts(
         params["encoder"],
         prepared.inputs,
         encoder_key,
@@ -209,13 +217,18 @@ def training_loss(
     )
     drawn = prepared.rows.shape[1]
     error = jnp.rad2deg(jnp.arccos(jnp.clip(cosine[-drawn:], -1, 1)))
-    return loss, {"mae_deg": jnp.sum(weights[-drawn:] * error) / batch}
+    metrics = {"mae_deg": jnp.sum(weights[-drawn:] * error) / batch}
+    if guesses is not None:
+        losses = _guess_losses(guesses, mask, normals, lights, frame)
+        loss = loss + sum(_GUESS_WEIGHTS[name] * x for name, x in losses.items())
+        metrics |= losses
+    return loss, metrics
 
 
 def _contexts(
     params: Any, inputs: Array, key: Array, *, config: ModelConfig, deterministic: bool
-) -> Array:
-    """The encoder of B objects: `[B, N, s, s, 4]` to `[B, N, s/4, s/4, C]`."""
+) -> tuple[Array, Guesses | None]:
+    """The encoder of B objects: `[B, N, s, s, 4]` to `[B, N, s/4, s/4, C]`, guesses."""
     # On CPU the compiler undoes rematerialisation everywhere but in loops.
     loop = config.remat and jax.default_backend() == "cpu"
     loop = loop and config.communication != "during"  # its images need each other
@@ -240,7 +253,32 @@ def _contexts(
     each = tokens, 1 + jnp.arange(len(tokens))
     maps = map_chunks(extract, each, CHUNK_IMAGES) if loop else extract(each)
     contexts = run("combine", jax.random.fold_in(key, 0), maps, *options)
-    return contexts.reshape(batch, num_images, *contexts.shape[1:])
+    contexts = contexts.reshape(batch, num_images, *contexts.shape[1:])
+    return run("agree", key, contexts)
+
+
+def _guess_losses(
+    guesses: Guesses,
+    mask: Array,
+    normals: Array,
+    lights: Array | None,
+    frame_kind: FrameKind,
+) -> dict[str, Array]:
+    """Mean distances of the guessed normals and lights from the true ones."""
+    grid = guesses.normals.shape[1]
+
+    def score(guess: Array, mask: Array, normals: Array) -> Array:
+        frame = square_frame(mask, frame_kind)
+        small = canonical_images(normals[None], mask, frame, grid)[0]
+        true, inside = ops.normalize(small[..., :3]), small[..., 3]
+        distance = plain_distance(squared_distance(ops.normalize(guess), true))
+        return jnp.sum(mean_weights(inside) * distance)
+
+    losses = {"coarse": jnp.mean(jax.vmap(score)(guesses.normals, mask, normals))}
+    if lights is not None:
+        squared = squared_distance(guesses.lights, lights)
+        losses["lights"] = jnp.mean(plain_distance(squared))
+    return losses
 
 
 class _Prepared(NamedTuple):

@@ -271,3 +271,36 @@ def gelu(x: Array) -> Array:
     gains digits only where the result is next to zero.
     """
     return x * (0.5 + 0.5 * jax.lax.erf(x * np.asarray(0.5**0.5, x.dtype)))
+
+
+def largest(x: Array, axis: int) -> Array:
+    """The maximum along an axis, with one element's gradient.
+
+    The gradient of `jnp.max` is shared by the elements that equal the maximum. Where a
+    compiler computes those anew, a digit apart, there is none, and it becomes NaN.
+    """
+    indices = jax.lax.broadcasted_iota(jnp.int32, x.shape, axis % x.ndim)
+    first = jnp.argmax(x, axis=axis, keepdims=True)
+    return jnp.sum(jnp.where(indices == first, x, 0), axis=axis)
+
+
+def sinusoids(height: int, width: int, octaves: int = 4) -> Array:
+    """Sines and cosines of a grid's rows and columns, for attention to know places.
+
+    Args:
+        height: of the grid, in cells.
+        width: likewise.
+        octaves: frequencies; the longest period is twice the side, each next one half.
+
+    Returns:
+        `[height, width, 4 * octaves]`.
+    """
+
+    def waves(size: int) -> Array:
+        centres = (jnp.arange(size) + 0.5) / size
+        phases = jnp.pi * centres[:, None] * 2.0 ** jnp.arange(octaves)
+        return jnp.concatenate([jnp.sin(phases), jnp.cos(phases)], axis=-1)
+
+    rows = jnp.broadcast_to(waves(height)[:, None], (height, width, 2 * octaves))
+    columns = jnp.broadcast_to(waves(width)[None], (height, width, 2 * octaves))
+    return jnp.concatenate([rows, columns], axis=-1)

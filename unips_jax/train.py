@@ -140,7 +140,12 @@ def train(
 
 
 def _means(values: list[dict[str, Any]]) -> dict[str, Any]:
-    return {name: np.mean([value[name] for value in values]) for name in values[0]}
+    # Steps on folders have no "lights".
+    names = dict.fromkeys(name for value in values for name in value)
+    return {
+        name: np.mean([value[name] for value in values if name in value])
+        for name in names
+    }
 
 
 def _with_sharding(shape: jax.ShapeDtypeStruct, sharding: Any) -> jax.ShapeDtypeStruct:
@@ -191,7 +196,12 @@ def _batches(
             num_images=max(data.num_images),
             config=config.scenes,
         )
-        return {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
+        return {
+            "images": scene.images,
+            "mask": scene.mask,
+            "normals": scene.normals,
+            "lights": scene.light_means,
+        }
 
     folders: Iterator[dict[str, np.ndarray]] = iter(())
     if scene_share < 1:
@@ -207,15 +217,16 @@ def _batches(
         )
 
     @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)
-    def take(images: jax.Array, count: int) -> jax.Array:
-        return images[:, :count]
+    def take(batch: Batch, count: int) -> Batch:
+        first = {name: batch[name][:, :count] for name in ("images", "lights")}
+        return {**batch, **first}
 
     place = functools.partial(jax.make_array_from_process_local_data, sharding)
     for step in itertools.count(first + 1):
         if from_scenes(step):
             batch = render(np.int32(step))
             count = draw_num_images(data.num_images, seed, step)
-            yield {**batch, "images": take(batch["images"], count)}
+            yield take(batch, count)
         else:
             yield jax.tree.map(place, next(folders))
 

@@ -17,47 +17,50 @@ Batch = dict[str, Array]
 
 
 def augment(
-    images: Array, mask: Array, normals: Array, key: Array
-) -> tuple[Array, Array, Array]:
+    images: Array, mask: Array, normals: Array, lights: Array | None, key: Array
+) -> tuple[Array, Array, Array, Array | None]:
     """The paper's four augmentations of one object, each with probability one half.
 
     Args:
         images: `[N, H, H, 3]`.
         mask: `[H, H]`.
         normals: `[H, H, 3]`.
+        lights: `[N, 3]`, mean directions, or None.
         key: for the draws.
 
     Returns:
         The same, flipped left-right (n_x negated), up-down (n_y negated), transposed
-        (n becomes (-n_y, -n_x, n_z)), and with the colours of each image permuted.
+        (n becomes (-n_y, -n_x, n_z)), the lights with the normals, and with the colours
+        of each image permuted.
 
     Source: UniPS (Ikehata, CVPR 2022), supplement.
     """
     flip_key, colour_key, order_key = jax.random.split(key, 3)
     horizontal, vertical, transpose = jax.random.bernoulli(flip_key, 0.5, (3,))
 
-    def apply(
-        images: Array, mask: Array, normals: Array, when: Array, change: Any, turn: Any
-    ) -> tuple[Array, Array, Array]:
-        return (
-            jnp.where(when, jax.vmap(change)(images), images),
-            jnp.where(when, change(mask), mask),
-            jnp.where(when, turn(change(normals)), normals),
+    def apply(scene: Any, when: Array, change: Any, turn: Any) -> Any:
+        images, mask, normals, lights = scene
+        turned = (
+            jax.vmap(change)(images),
+            change(mask),
+            turn(change(normals)),
+            None if lights is None else turn(lights),
         )
+        return jax.tree.map(functools.partial(jnp.where, when), turned, scene)
 
-    scene = (images, mask, normals)
+    scene = (images, mask, normals, lights)
     signs = jnp.array([-1, 1, 1], normals.dtype)
-    scene = apply(*scene, horizontal, lambda x: x[:, ::-1], lambda n: n * signs)
+    scene = apply(scene, horizontal, lambda x: x[:, ::-1], lambda n: n * signs)
     signs = jnp.array([1, -1, 1], normals.dtype)
-    scene = apply(*scene, vertical, lambda x: x[::-1], lambda n: n * signs)
+    scene = apply(scene, vertical, lambda x: x[::-1], lambda n: n * signs)
     signs = jnp.array([-1, -1, 1], normals.dtype)
     scene = apply(
-        *scene,
+        scene,
         transpose,
         lambda x: jnp.swapaxes(x, 0, 1),
         lambda n: n[..., jnp.array([1, 0, 2])] * signs,
     )
-    images, mask, normals = scene
+    images, mask, normals, lights = scene
     n = images.shape[0]
     orders = jax.vmap(lambda k: jax.random.permutation(k, 3))(
         jax.random.split(order_key, n)
@@ -66,7 +69,7 @@ def augment(
     orders = jnp.where(permuted[:, None], orders, jnp.arange(3))
     # As a product: gathers along the last axis are slow.
     mixing = jax.nn.one_hot(orders, 3, dtype=images.dtype)  # [N, new, old]
-    return jnp.einsum("nhwc,ndc->nhwd", images, mixing), mask, normals
+    return jnp.einsum("nhwc,ndc->nhwd", images, mixing), mask, normals, lights
 
 
 def batch_loss(
@@ -76,7 +79,8 @@ def batch_loss(
 
     Args:
         params: the network's parameters.
-        batch: `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`.
+        batch: `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and
+            `lights [B, N, 3]` where they are known.
         key: for augmentation, pixels and dropout.
         config: of the run.
 
@@ -86,14 +90,20 @@ def batch_loss(
     data = config.data
     num_images = batch["images"].shape[1]
 
-    objects = batch["images"], batch["mask"], batch["normals"]
-    keys = jax.random.split(key, (2, batch["images"].shape[0]))
+    images, mask, normals = batch["images"], batch["mask"], batch["normals"]
+    lights = batch.get("lights")
+    keys = jax.random.split(key, (2, images.shape[0]))
     if data.augment:
-        objects = jax.vmap(augment)(*objects, keys[0])
+        images, mask, normals, lights = jax.vmap(augment)(
+            images, mask, normals, lights, keys[0]
+        )
     return training_loss(
         params,
-        *objects,
+        images,
+        mask,
+        normals,
         keys[1],
+        lights=lights,
         config=config.model,
         num_pixels=data.pixels_for(num_images),
         frame=data.frame,

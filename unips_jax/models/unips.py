@@ -15,6 +15,7 @@ from jax.typing import DTypeLike
 
 from unips_jax import ops
 from unips_jax.config import ModelConfig
+from unips_jax.models.consensus import Consensus, Guesses
 from unips_jax.models.set_attention import PMA, SAB, dense, layer_norm
 from unips_jax.models.swin import PatchEmbed, PatchMerging, SwinStage
 from unips_jax.models.upernet import UPerNet
@@ -31,7 +32,7 @@ class Encoder(nn.Module):
 
     `embed`, `stage` and `fuse` treat every image alone, and so does `extract` unless
     images communicate during it; `communicate` treats every pixel alone. So a caller
-    may run each in pieces.
+    may run each in pieces. `agree` comes last and sees everything.
 
     Attributes:
         config: the network's configuration.
@@ -68,6 +69,10 @@ class Encoder(nn.Module):
             )
             for dim in dims
         ]
+        if config.consensus_blocks:
+            self.consensus = Consensus(
+                config.consensus_blocks, config.consensus_dim, dtype
+            )
 
     def __call__(
         self, images: Array, valid: Array | None = None, deterministic: bool = True
@@ -86,7 +91,8 @@ class Encoder(nn.Module):
         flat = images.reshape(-1, height, width, channels)
         rest = (valid, deterministic, sets[-1])
         contexts = self.combine(self.extract(self.embed(flat), *rest), *rest)
-        return contexts.reshape(*sets, *contexts.shape[1:])
+        contexts, _ = self.agree(contexts.reshape(*sets, *contexts.shape[1:]), valid)
+        return contexts
 
     def combine(
         self,
@@ -103,6 +109,25 @@ class Encoder(nn.Module):
         if self.config.communication == "post":
             contexts = self.communicate(contexts, 0, *rest)
         return contexts
+
+    def agree(
+        self, contexts: Array, valid: Array | None = None
+    ) -> tuple[Array, Guesses | None]:
+        """Changes contexts by what their set's images agree on.
+
+        Args:
+            contexts: `[..., N, h, w, context_dim]`, from `combine`.
+            valid: `[N]`, bool, or None.
+
+        Returns:
+            As `contexts`, and guesses of the normals and lights; without a consensus
+            the contexts themselves, and None.
+        """
+        if not self.config.consensus_blocks:
+            return contexts, None
+        sets = contexts.reshape(-1, *contexts.shape[-4:])
+        changed, guesses = self.consensus(sets, valid)
+        return changed.reshape(contexts.shape), guesses
 
     def embed(self, images: Array) -> Array:
         """Embeds patches: `[M, s, s, 4]` to tokens `[M, s/4, s/4, embed_dim]`."""
@@ -284,7 +309,7 @@ class Decoder(nn.Module):
             return self.pooling(sets, valid, deterministic)[..., 0, :]
         if valid is not None:
             sets = jnp.where(valid[:, None], sets, -jnp.inf)
-        return jnp.max(sets, axis=-2)
+        return ops.largest(sets, axis=-2)
 
     def predict(self, features: Array) -> Array:
         """Vectors along the normals, `[..., 3]`, from `[..., hidden_dim]`."""

@@ -1,0 +1,99 @@
+"""What the images of a set agree on: begins as nothing, guesses what it is taught."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax.traverse_util import flatten_dict
+from small_networks import SMALL, lively_weights
+
+from unips_jax import losses
+from unips_jax.models.consensus import Guesses
+from unips_jax.models.unips import UniPS
+from unips_jax.weights import init_params
+
+CONFIG = dataclasses.replace(SMALL, consensus_blocks=2, consensus_dim=32)
+
+
+def encoder(params, config=CONFIG):
+    return UniPS(config).bind({"params": params}).encoder
+
+
+def contexts(sets=2, images=3):
+    return jax.random.normal(jax.random.key(0), (sets, images, 4, 4, 8))
+
+
+def test_begins_as_the_identity_and_changes_the_contexts():
+    begun, _ = encoder(init_params(CONFIG, jax.random.key(0))).agree(contexts())
+    np.testing.assert_array_equal(begun, contexts())
+    changed, _ = encoder(lively_weights(CONFIG)).agree(contexts())
+    assert abs(changed - contexts()).max(axis=-1).min() > 1e-3
+
+
+def test_every_image_has_its_light_and_all_have_one_shape():
+    agree = encoder(lively_weights(CONFIG)).agree
+    _, guesses = agree(contexts())
+    order = jnp.array([2, 0, 1])
+    _, permuted = agree(contexts()[:, order])
+    np.testing.assert_allclose(permuted.normals, guesses.normals, atol=1e-5)
+    np.testing.assert_allclose(permuted.lights, guesses.lights[:, order], atol=1e-5)
+    lights = np.asarray(guesses.lights).reshape(6, 3)
+    assert (
+        np.linalg.norm(lights[:, None] - lights, axis=-1)[~np.eye(6, dtype=bool)].min()
+        > 0
+    )
+    # Every cell hears of every other, and of every image.
+    moved, _ = agree(contexts().at[0, 0, 0, 0].add(1))
+    assert abs(moved - agree(contexts())[0])[0].max(axis=-1).min() > 0
+    np.testing.assert_array_equal(moved[1], agree(contexts())[0][1])
+
+
+def scene():
+    rng = np.random.default_rng(0)
+    images = rng.random((2, 3, 16, 16, 3)).astype(np.float32)
+    mask = np.zeros((2, 16, 16), bool)
+    mask[:, 2:12, 3:13] = True
+    normals = mask[..., None] * np.array([0.6, 0, 0.8], np.float32)
+    lights = rng.normal(size=(2, 3, 3)).astype(np.float32)
+    return images, mask, normals, lights
+
+
+def test_losses_of_guesses_are_their_distances():
+    _, mask, normals, lights = scene()
+    flat = np.broadcast_to(normals[0, 5, 5], (2, 4, 4, 3))
+    score = functools.partial(losses._guess_losses, frame_kind="mask")
+    right = score(Guesses(5 * flat, lights), mask, normals, lights)
+    assert max(right.values()) < 1e-3
+    wrong = score(Guesses(-flat, lights + (0, 0.5, 0)), mask, normals, lights)
+    np.testing.assert_allclose([wrong["coarse"], wrong["lights"]], [2, 0.5], atol=0.04)
+    assert list(score(Guesses(flat, lights), mask, normals, None)) == ["coarse"]
+
+
+def test_training_teaches_every_parameter():
+    images, mask, normals, lights = scene()
+
+    @jax.jit
+    @jax.value_and_grad
+    def loss(params, lights):
+        keys = jax.random.split(jax.random.key(0), 2)
+        return losses.training_loss(
+            params,
+            images,
+            mask,
+            normals,
+            keys,
+            lights=lights,
+            config=CONFIG,
+            num_pixels=20,
+        )[0]
+
+    params = lively_weights(CONFIG)
+    value, gradient = loss(params, lights)
+    for name, leaf in flatten_dict(gradient["encoder"]["consensus"], sep="/").items():
+        if not name.endswith("key/bias"):  # drops out of the softmax
+            assert abs(leaf).max() > 0, name
+    unknown, gradient = loss(params, None)
+    assert unknown < value
+    assert not np.any(gradient["encoder"]["consensus"]["lights"]["kernel"])
