@@ -190,8 +190,9 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
         "images": jnp.asarray(stack)[None].repeat(data.batch_size, 0),
         "mask": jnp.asarray(mask)[None].repeat(data.batch_size, 0),
         "normals": jnp.asarray(normals)[None].repeat(data.batch_size, 0),
-        "lights": jnp.zeros((data.batch_size, images, 3)),
     }
+    if model.consensus_blocks:
+        batch["lights"] = jnp.zeros((data.batch_size, images, 3))
     state = new_state(config, jax.random.key(0))
     step = compile_together(
         jax.jit(functools.partial(train_step, config=config), donate_argnums=0),

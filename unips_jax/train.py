@@ -196,12 +196,10 @@ def _batches(
             num_images=max(data.num_images),
             config=config.scenes,
         )
-        return {
-            "images": scene.images,
-            "mask": scene.mask,
-            "normals": scene.normals,
-            "lights": scene.light_means,
-        }
+        batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
+        if config.model.consensus_blocks:  # others would be compiled for them in vain
+            batch["lights"] = scene.light_means
+        return batch
 
     folders: Iterator[dict[str, np.ndarray]] = iter(())
     if scene_share < 1:
@@ -217,16 +215,16 @@ def _batches(
         )
 
     @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)
-    def take(batch: Batch, count: int) -> Batch:
-        first = {name: batch[name][:, :count] for name in ("images", "lights")}
-        return {**batch, **first}
+    def take(x: jax.Array, count: int) -> jax.Array:
+        return x[:, :count]
 
     place = functools.partial(jax.make_array_from_process_local_data, sharding)
     for step in itertools.count(first + 1):
         if from_scenes(step):
             batch = render(np.int32(step))
             count = draw_num_images(data.num_images, seed, step)
-            yield take(batch, count)
+            sets = (name for name in ("images", "lights") if name in batch)
+            yield {**batch, **{name: take(batch[name], count) for name in sets}}
         else:
             yield jax.tree.map(place, next(folders))
 
