@@ -27,6 +27,7 @@ def scene():
         material=np.int32(2),
         focal=np.float32(0),
         light_directions=np.tile(np.float32([0, 0, 1]), (2, 1)),
+        light_means=np.tile(np.float32([0, 0, 1]), (2, 1)),
         light_intensities=np.ones((2, 3), np.float32),
     )
 

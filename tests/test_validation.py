@@ -56,7 +56,8 @@ def test_scores_by_hand(monkeypatch):
         images = lights = np.zeros(0)
         kinds = [np.int32(kind) for kind in (light, shape, material)]
         scene = Scene(
-            *(images, mask, tilted(*true), *kinds, np.float32(focal), lights, lights)
+            *(images, mask, tilted(*true), *kinds, np.float32(focal)),
+            *(lights, lights, lights),
         )
         return scene, 3 * tilted(*estimate)
 
