@@ -54,10 +54,17 @@ def test_scores_by_hand(monkeypatch):
     def scene(true, estimate, light, shape, material, focal):
         mask = np.array([[True] * (len(true) - 1) + [False]])
         images = lights = np.zeros(0)
-        kinds = [np.int32(kind) for kind in (light, shape, material)]
         scene = Scene(
-            *(images, mask, tilted(*true), *kinds, np.float32(focal)),
-            *(lights, lights, lights),
+            images=images,
+            mask=mask,
+            normals=tilted(*true),
+            light_kind=np.int32(light),
+            shape_kind=np.int32(shape),
+            material=np.int32(material),
+            focal=np.float32(focal),
+            light_directions=lights,
+            light_intensities=lights,
+            light_means=lights,
         )
         return scene, 3 * tilted(*estimate)
 

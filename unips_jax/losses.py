@@ -264,7 +264,11 @@ def _guess_losses(
     lights: Array | None,
     frame_kind: FrameKind,
 ) -> dict[str, Array]:
-    """Mean distances of the guessed normals and lights from the true ones."""
+    """Mean distances of the guessed normals and lights from the true ones.
+
+    `mask [B, H, H]`, `normals [B, H, H, 3]` and `lights [B, N, 3]` are the true ones;
+    unknown lights are left out of the result.
+    """
     grid = guesses.normals.shape[1]
 
     def score(guess: Array, mask: Array, normals: Array) -> Array:

@@ -45,7 +45,7 @@ class Consensus(nn.Module):
 
     Attributes:
         blocks: attention blocks over the map, half of them before the lights.
-        features: their width.
+        features: their width, a multiple of 32.
         dtype: compute type.
     """
 
@@ -129,5 +129,5 @@ def _pool(x: Array, valid: Array | None) -> Array:
     """Mean and maximum over the images: `[B, N, T, C]` to `[B, T, 2 C]`."""
     where = None if valid is None else valid[:, None, None]
     mean = jnp.mean(x, axis=1, where=where)
-    known = x if where is None else jnp.where(where, x, -jnp.inf)
-    return jnp.concatenate([mean, ops.largest(known, axis=1)], axis=-1)
+    counted = x if where is None else jnp.where(where, x, -jnp.inf)
+    return jnp.concatenate([mean, ops.largest(counted, axis=1)], axis=-1)
