@@ -153,6 +153,18 @@ def test_jit_vmap_and_eager_agree(params):
     np.testing.assert_allclose(jax.jit(jax.vmap(run))(images, masks), loop, atol=1e-5)
 
 
+def test_runs_inside_shard_map(params):
+    images, masks = (x[None] for x in photographs())
+    mesh = jax.sharding.Mesh(jax.devices()[:1], "data")
+    spec = jax.sharding.PartitionSpec("data")
+
+    def run(images, masks):
+        return estimate_normals(params, images[0], masks[0], config=SMALL)[None]
+
+    sharded = jax.jit(jax.shard_map(run, mesh=mesh, in_specs=spec, out_specs=spec))
+    np.testing.assert_allclose(sharded(images, masks), run(images, masks), atol=1e-5)
+
+
 def test_gradients_agree_with_finite_differences(params):
     """In float64, along random directions, for images and for parameters."""
     with jax.enable_x64(True):

@@ -234,7 +234,9 @@ def _estimate_normals(
             return decode(params, contexts, pixels, places, frame, valid, config=config)
 
         result = jax.eval_shape(run, part)
+        # Zeros that vary over the devices of a `shard_map` as the result does.
         empty = jnp.zeros(result.shape, result.dtype)
+        empty = jnp.where(False, contexts.reshape(-1)[0], empty)
         return jax.lax.cond(part[1][0] < count, run, lambda _: empty, part)
 
     decoded = map_chunks(decode_chunk, (pixels, index), max(1, CHUNK_TOKENS // n))

@@ -3,7 +3,7 @@
 Source: "Universal Photometric Stereo Network using Global Lighting Contexts" (Ikehata,
 CVPR 2022), Sec. 4 and supplement. An object's images are one set of N; batches of
 objects are leading axes. `valid` `[N]` marks the images that count, so that sets
-can be padded; padding never changes a result.
+can be padded; padding with finite values never changes a result.
 """
 
 from collections.abc import Sequence
