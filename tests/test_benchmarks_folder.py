@@ -65,6 +65,36 @@ def test_reads_exr_truth_and_grey_photographs(tmp_path):
     assert item.notes == ("8-bit photographs taken as sRGB and made linear",)
 
 
+def test_exr_truth_is_placed_by_its_windows(tmp_path):
+    _, normals = data.sphere(9, 11)
+    data.write_image(tmp_path / "0.tif", np.full((9, 11), 7, np.uint8))
+    header = {
+        "type": OpenEXR.scanlineimage,
+        "dataWindow": (np.int32([2, 1]), np.int32([9, 8])),
+        "displayWindow": (np.int32([0, 0]), np.int32([10, 8])),
+    }
+    pixels = np.ascontiguousarray(normals[1:9, 2:10], np.float32)
+    with OpenEXR.File(header, {"RGB": pixels}) as file:
+        file.write(str(tmp_path / "normal.exr"))
+    expected = np.zeros((9, 11, 3), np.float32)
+    expected[1:9, 2:10] = pixels
+    item = open_benchmark("folder", tmp_path)[0]
+    np.testing.assert_array_equal(item.normals, expected)
+
+
+def test_objects_are_named_as_given(tmp_path):
+    for name in ("a", "b"):
+        data.make_folder(tmp_path / "captures" / name)
+        linked = tmp_path / "set" / name
+        linked.parent.mkdir(exist_ok=True)
+        linked.symlink_to(tmp_path / "captures" / name / "cup")
+    benchmark = open_benchmark("folder", tmp_path / "set")
+    assert [entry.name for entry in benchmark.entries] == ["a", "b"]
+    (tmp_path / "set" / "b").rename(tmp_path / "set" / "a.data")
+    with pytest.raises(InputError, match="two named 'a'; rename one"):
+        open_benchmark("folder", tmp_path / "set")
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_gives_the_network_what_estimate_does(tmp_path, monkeypatch, dtype):
     """To the bit, from a folder with an example of all that readers differ in."""

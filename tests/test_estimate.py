@@ -1,6 +1,7 @@
 """The command `unips estimate`, with a stand-in for the network."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -209,6 +210,18 @@ def test_a_crash_in_a_batch_is_one_line_too(folder, tmp_path, calls, monkeypatch
     with pytest.raises(RuntimeError, match="memory"):
         run(other, "-o", out)
     assert not out.exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are Unicode elsewhere")
+def test_names_that_are_not_unicode(folder, tmp_path, network_calls):
+    other = tmp_path / os.fsdecode(b"K\xf6nig")
+    (folder / "L_0.png").rename(folder / os.fsdecode(b"L\xe4mpe.png"))
+    folder.rename(other)
+    assert run(other, "-o", tmp_path / "out") == 0
+    written = tmp_path / "out" / "K\ufffdnig"
+    assert len(list(written.iterdir())) == 4
+    record = json.loads((written / "normals.json").read_text(encoding="utf-8"))
+    assert [os.fsencode(x) for x in record["images"]][-1] == b"L\xe4mpe.png"
 
 
 def test_folders_of_one_name_are_refused(folder, tmp_path, calls, capsys):

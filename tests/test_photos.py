@@ -233,14 +233,17 @@ def test_transparency_does_not_matter_beside_colours_nor_where_it_is_even(tmp_pa
     np.testing.assert_array_equal(read_mask(save(path, picture)), picture[..., 0] > 0)
 
 
-def test_noise_of_a_jpeg_mask_is_no_object(tmp_path):
+@pytest.mark.parametrize("suffix", [".jpg", ".webp"])
+def test_noise_of_a_lossy_mask_is_no_object(tmp_path, suffix):
     y, x = np.mgrid[:60, :80]
     disc = np.hypot(x - 40, y - 30) < 17
-    stored = cv2.imencode(".jpg", disc * 255, [cv2.IMWRITE_JPEG_QUALITY, 70])[1]
-    path = tmp_path / "mask.jpg"
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 70, cv2.IMWRITE_WEBP_QUALITY, 70]
+    stored = cv2.imencode(suffix, disc.astype(np.uint8) * 255, quality)[1]
+    path = tmp_path / f"mask{suffix}"
     path.write_bytes(stored.tobytes())
     assert (read_image(path)[~disc] > 0).any()
     np.testing.assert_array_equal(read_mask(path), disc)
+    path = tmp_path / "mask.jpg"
     save(path, np.full((HEIGHT, WIDTH), 100, np.uint8))
     with pytest.raises(InputError, match="values above 127 on the object, got at most"):
         read_mask(path)
@@ -286,6 +289,17 @@ def test_damage_that_a_decoder_only_mentions(tmp_path, capfd, name):
     with pytest.raises(InputError, match=rf"{name}: .*the decoder says: "):
         read_image(path)
     assert capfd.readouterr() == ("", "")
+
+
+def test_bytes_between_the_segments_of_a_jpeg_are_no_damage(tmp_path):
+    path = save(tmp_path / "a.jpg", smooth(np.uint8))
+    whole, data = read_image(path), path.read_bytes()
+    tables = data.index(b"\xff\xdb")
+    path.write_bytes(data[:tables] + b"\0\0\xff\0\7" + data[tables:])
+    np.testing.assert_array_equal(read_image(path), whole)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(InputError, match="truncated"):
+        read_image(path)
 
 
 def test_jpeg_thumbnail_does_not_hide_truncation(tmp_path):

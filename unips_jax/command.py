@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import io
 import math
 import os
 import sys
@@ -43,6 +44,9 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
 
     @functools.wraps(main)
     def run(argv: Sequence[str] | None = None) -> int:
+        # What the terminal cannot show, such as names that are not Unicode, is escaped.
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")
         try:
             main(argv)
             sys.stdout.flush()
@@ -66,7 +70,7 @@ def keep_compiled() -> None:
     import jax
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "unips_jax"))
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from unips_jax.normal_files import write_png
+
 _TILE = 240
 _GAP = 8
 _BLOCK = 3 * _TILE + 2 * _GAP
@@ -228,5 +230,4 @@ def _save(
         warnings.simplefilter("ignore")  # characters that the font lacks
         drawing.draw()
     pixels = np.asarray(drawing.buffer_rgba())[..., 2::-1]  # BGR
-    if not cv2.imwrite(str(file), pixels):
-        raise OSError(f"cannot write {file}")
+    write_png(file, pixels)

@@ -33,7 +33,7 @@ from unips_jax.normal_files import (
     write_record,
 )
 from unips_jax.official_reader import read_official
-from unips_jax.photos import Selection, read_photographs, select
+from unips_jax.photos import Selection, folder_name, read_photographs, select
 from unips_jax.run_record import (
     make_record,
     print_line,
@@ -180,7 +180,7 @@ def _targets(folders: Sequence[Path], output: Path) -> dict[Path, Path]:
     targets: dict[Path, Path] = {}
     owners: dict[Path, Path] = {}
     for folder in dict.fromkeys(folders):
-        target = output / folder.resolve().name.removesuffix(".data")
+        target = output / folder_name(folder)
         if target in owners:
             raise InputError(
                 f"{folder}: expected folders of different names, got one named as "
@@ -249,7 +249,7 @@ def _estimate_folder(
             capture.images,
             normals,
             capture.mask,
-            title=folder.resolve().name,
+            title=target.name,
             subtitle=summary(record),
             encoded=capture.transfer == "srgb",
         )

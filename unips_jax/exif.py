@@ -45,10 +45,10 @@ def jpeg_segments(data: bytes | mmap.mmap) -> Iterator[tuple[int, int, int]]:
         data: the file's bytes; another format has no segments.
     """
     position = 2 if data[:3] == JPEG_START else len(data)
-    while position + 4 <= len(data) and data[position] == 0xFF:
+    while position + 4 <= len(data):
         marker = data[position + 1]
-        if marker == 0xFF:  # a fill byte
-            position += 1
+        if data[position] != 0xFF or marker in (0, 0xFF):
+            position += 1  # what decoders pass over between segments
             continue
         length = int.from_bytes(data[position + 2 : position + 4], "big")
         yield marker, position + 4, position + 2 + length

@@ -103,10 +103,11 @@ def read_opacity(path: Path) -> np.ndarray | None:
     return alpha[::-1] if orientation in (3, 4, 7, 8) else alpha
 
 
-def is_jpeg(path: Path) -> bool:
-    """Whether a file is a JPEG, by its content."""
-    with path.open("rb") as file:
-        return file.read(len(JPEG_START)) == JPEG_START
+def is_lossy(path: Path) -> bool:
+    """Whether a file is a JPEG or a lossy WebP, by its content."""
+    data = path.read_bytes()
+    webp = data[8:12] == b"WEBP" and b"VP8 " in data
+    return data.startswith(JPEG_START) or webp
 
 
 def as_float(image: np.ndarray) -> np.ndarray:
@@ -205,14 +206,14 @@ def _decode_exr(path: Path) -> np.ndarray | None:
         names = [layer + c for layer in sorted(layers)[:1] for c in colours]
         if len(layers) == 1 and all(name in planes for name in names):
             image = np.stack([planes[name] for name in names], axis=-1)
-            return _displayed(image, header["dataWindow"], header["displayWindow"])
+            return displayed(image, header["dataWindow"], header["displayWindow"])
     raise InputError(
         f"{path}: expected the channels R, G, B or Y in one layer, got "
         f"{', '.join(sorted(planes)) or 'none'}; export one RGB layer"
     )
 
 
-def _displayed(
+def displayed(
     image: np.ndarray,
     data: tuple[np.ndarray, np.ndarray],
     display: tuple[np.ndarray, np.ndarray],

@@ -48,8 +48,7 @@ def write_normals(
         normal_map: convention of the PNG and the EXR.
     """
     flipped = flip_green(normals) if normal_map == "directx" else normals
-    if not cv2.imwrite(str(folder / "normals.png"), encode_normals(flipped)[..., ::-1]):
-        raise OSError(f"cannot write {folder / 'normals.png'}")
+    write_png(folder / "normals.png", encode_normals(flipped)[..., ::-1])
     np.save(folder / "normals.npy", normals)
     if exr:
         import OpenEXR
@@ -64,6 +63,16 @@ def write_normals(
         import scipy.io
 
         scipy.io.savemat(folder / "normals.mat", {"Normal_est": normals})
+
+
+def write_png(file: Path, pixels: np.ndarray) -> None:
+    """Writes a PNG; unlike `cv2.imwrite` under names of any characters.
+
+    Args:
+        file: where.
+        pixels: `[H, W, 3]`, uint8 or uint16, blue first.
+    """
+    file.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
 
 
 def encode_normals(normals: np.ndarray) -> np.ndarray:
@@ -98,7 +107,9 @@ def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
     """
     names = sorted([*(file.name for file in folder.iterdir()), RECORD])
     text = json.dumps({**record, "files": names}, indent=2, ensure_ascii=False)
-    (folder / RECORD).write_text(text + "\n", encoding="utf-8")
+    # Names that are not Unicode become JSON's escapes.
+    data = (text + "\n").encode(errors="backslashreplace")
+    (folder / RECORD).write_bytes(data)
     return names
 
 

@@ -11,6 +11,7 @@ a mask the whole image counts: nothing is cropped or stretched. EXIF orientation
 """
 
 import dataclasses
+import os
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -20,7 +21,7 @@ import numpy as np
 
 from unips_jax.command import InputError
 from unips_jax.exif import exif_orientation
-from unips_jax.image_files import SUFFIXES, is_jpeg, read_image, read_opacity
+from unips_jax.image_files import SUFFIXES, is_lossy, read_image, read_opacity
 
 _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
 _MAP_NAME = re.compile(
@@ -164,12 +165,21 @@ def mask_for(selection: Selection, shape: tuple[int, ...]) -> np.ndarray:
     return mask
 
 
+def folder_name(folder: Path) -> str:
+    """A folder's name as given (links are not followed), without ".data".
+
+    Bytes that are not Unicode are replaced by question marks.
+    """
+    name = os.fsencode(os.path.abspath(folder)).decode(errors="replace")  # noqa: PTH100
+    return Path(name).name.removesuffix(".data")
+
+
 def read_mask(file: Path) -> np.ndarray:
     """Reads a mask: `[H, W]` bool, true where the first channel is above 0.
 
-    In a JPEG, whose compression leaves noise around the object, it must be above half
-    of full scale. An image of one colour whose transparency varies is inside where it
-    is not fully transparent.
+    In a JPEG or a lossy WebP, whose compression leaves noise around the object, it must
+    be above half of full scale. An image of one colour whose transparency varies is
+    inside where it is not fully transparent.
 
     Args:
         file: an image of any supported format.
@@ -183,7 +193,7 @@ def read_mask(file: Path) -> np.ndarray:
         opacity = read_opacity(file)
         if opacity is not None and np.ptp(opacity):
             values = opacity
-    floor = np.iinfo(image.dtype).max // 2 if is_jpeg(file) else 0
+    floor = np.iinfo(image.dtype).max // 2 if is_lossy(file) else 0
     mask = values > floor
     if not mask.any():
         raise InputError(

@@ -4,6 +4,7 @@ import abc
 import dataclasses
 import hashlib
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -116,6 +117,12 @@ class Benchmark(abc.ABC):
         if not found:
             raise InputError(f"{self.root}: holds no object of the benchmark")
         known = {name for entry in found for name in (entry.name, entry.tags["object"])}
+        twice = [name for name, n in Counter(e.name for e in found).items() if n > 1]
+        if twice:
+            raise InputError(
+                f"{self.root}: expected objects of different names, got two named "
+                f"{twice[0]!r}; rename one"
+            )
         unknown = [name for name in objects if name not in known]
         if unknown:
             raise InputError(

@@ -10,7 +10,13 @@ from unips_jax.evaluation.benchmarks import files, images
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
 from unips_jax.exif import exif_focal
 from unips_jax.image_files import as_linear, usual_transfer
-from unips_jax.photos import Selection, read_mask, read_photographs, select
+from unips_jax.photos import (
+    Selection,
+    folder_name,
+    read_mask,
+    read_photographs,
+    select,
+)
 
 _TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
 
@@ -53,7 +59,7 @@ class Folder(Benchmark):
         assert truth is not None  # `find` looked
         selection = select(folder)
         masks = [selection.mask_file] if selection.mask_file else []
-        name = folder.resolve().name.removesuffix(".data")
+        name = folder_name(folder)
         return Entry(name, selection.files, (truth, *masks), {"object": name})
 
     def truth(self, entry: Entry) -> Truth:

@@ -17,7 +17,7 @@ import numpy as np
 
 from unips_jax.command import InputError
 from unips_jax.evaluation.benchmarks.files import read_bytes
-from unips_jax.image_files import require_finite
+from unips_jax.image_files import displayed, require_finite
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".jpg", ".jpeg", ".bmp", ".webp")
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -148,7 +148,12 @@ def _decode_exr(path: Path) -> np.ndarray:
 
     try:
         with OpenEXR.File(str(path)) as file:
-            channels = {k: np.array(v.pixels) for k, v in file.channels().items()}
+            header = file.header()
+            windows = header["dataWindow"], header["displayWindow"]
+            channels = {
+                name: displayed(np.atleast_3d(channel.pixels), *windows)
+                for name, channel in file.channels().items()
+            }
     except Exception as error:  # the library raises bare RuntimeErrors of all kinds
         raise InputError(f"{path}: not a readable EXR ({error})") from error
     for name in ("RGB", "RGBA"):
@@ -156,9 +161,9 @@ def _decode_exr(path: Path) -> np.ndarray:
             return np.ascontiguousarray(channels[name][..., :3], np.float32)
     for names in ("RGB", "XYZ"):
         if set(names) <= set(channels):
-            return np.stack([channels[c] for c in names], -1).astype(np.float32)
+            return np.concatenate([channels[c] for c in names], -1).astype(np.float32)
     if len(channels) == 1:
-        return np.atleast_3d(next(iter(channels.values()))).astype(np.float32)
+        return next(iter(channels.values())).astype(np.float32)
     raise InputError(
         f"{path}: expected EXR channels R, G, B or X, Y, Z, got {sorted(channels)}"
     )
