@@ -40,6 +40,20 @@ def test_a_full_disk_leaves_nothing(name, tmp_path, monkeypatch):
     assert len(files(tmp_path)) == 1
 
 
+def test_file_systems_without_flock_are_named(tmp_path, monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with (
+        pytest.raises(InputError, match=r"lock: .*flock.*: No locks available; choose"),
+        claims.claim(tmp_path / "lock"),
+    ):
+        pass
+
+
 def test_what_was_there_stays_until_the_new_is_whole(tmp_path, monkeypatch):
     path = tmp_path / "deep" / "file"
     claims.write_whole(path, b"old")

@@ -160,6 +160,11 @@ def test_sheet_of_many_methods_wraps():
     assert sheet("x", case, panels) == sheet("x", case, panels)
 
 
+def test_names_on_sheets_are_no_formulas():
+    panels = [Panel(r"$5_$6_\frac", case_of().normals, 1.0)]
+    assert imread(io.BytesIO(sheet(r"$5_$6_\frac", case_of(), panels))).ndim == 3
+
+
 def test_sheet_without_truth_or_estimate():
     panels = [Panel("good", case_of().normals, None), Panel("lacking", None, None)]
     assert imread(io.BytesIO(sheet("x", case_of(normals=None), panels))).ndim == 3

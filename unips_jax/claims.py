@@ -28,7 +28,7 @@ def claim(lock: Path, *, wait: bool = False) -> Iterator[bool]:
         Whether it is ours.
 
     Raises:
-        InputError: if the operating system has no `flock`.
+        InputError: if the operating or the file system has no `flock`.
     """
     try:
         import fcntl  # not on Windows, where all that needs no claim works
@@ -43,6 +43,11 @@ def claim(lock: Path, *, wait: bool = False) -> Iterator[bool]:
         except BlockingIOError:
             yield False
             return
+        except OSError as error:
+            raise InputError(
+                f"{lock}: expected a file system with flock to claim work, got: "
+                f"{error.strerror}; choose a folder on another"
+            ) from error
         yield True
 
 

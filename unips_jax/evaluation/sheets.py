@@ -74,6 +74,7 @@ def sheet(title: str, case: Case, panels: Sequence[Panel]) -> bytes:
         fontweight="bold",
         color=_INK,
         va="center",
+        parse_math=False,
     )
     canvas = _Canvas(figure, frame(case.mask))
     top = heights[0]
@@ -132,6 +133,7 @@ class _Canvas:
             va="bottom",
             fontsize=7.5 if len(text) < 26 else 6,
             color=_SOFT if soft else _INK,
+            parse_math=False,
         )
 
 
