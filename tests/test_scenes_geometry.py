@@ -110,6 +110,20 @@ def test_objects_are_hardly_ever_in_pieces(kind):
     assert broken <= 3
 
 
+def test_objects_cut_away_whole_lose_their_cuts(monkeypatch):
+    @jax.jit
+    def render(shape):
+        monkeypatch.setattr(geometry, "draw_shape", lambda *_: shape)
+        return geometry.render_geometry(jax.random.key(0), size=32, shape=0)
+
+    for hollow, keeps in ((0.3, True), (0.52, False), (0.9, False)):
+        shape = make_shape(balls=[((0, 0, 0), 0.5)], hollows=[((0, 0, 0), hollow)])
+        found = render(shape)
+        assert np.mean(found.mask) > 0.6  # a disc that reaches the frame: 0.785
+        assert float(found.entropy) > 4
+        assert np.array_equal(found.shape.slots, shape.slots) == keeps
+
+
 def test_normals_face_the_viewer_and_are_unit(sphere):
     mask = np.asarray(sphere.mask)
     normals = np.asarray(sphere.normals)[mask]

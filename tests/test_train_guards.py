@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import signal
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -133,6 +134,14 @@ def test_a_torn_line_of_metrics_does_not_end_a_run(tmp_path):
     assert file.read_text() == '{"step": 1}\n'
 
 
+def test_tensorboard_drops_the_steps_that_come_again(tmp_path, monkeypatch):
+    opened = []
+    fake = SimpleNamespace(SummaryWriter=lambda *_, **options: opened.append(options))
+    monkeypatch.setitem(sys.modules, "tensorboardX", fake)
+    TrainLog(tmp_path, 6, 9)
+    assert opened == [{"purge_step": 7}]
+
+
 def test_a_bad_configuration_file_is_named(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(
@@ -179,11 +188,20 @@ def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
     monkeypatch.setattr(
         train, "_write_weights", lambda path, *a: written.append((path.name, *a[2:]))
     )
-    for state.step, error in ((5, 30.0), (6, 40.0), (7, 20.0), (8, 20.0), (9, 25.0)):
-        scores = {"mae": error, "constant": 50 - error}
-        monkeypatch.setattr(train, "validate", lambda *_, found=scores, **__: found)
-        record = train._validate_and_keep_best(CONFIG, state, record, tmp_path, log)
-    assert record == {"best_mae_deg": 20, "best_step": 7}
+
+    def run(config, *rounds):
+        nonlocal record
+        for state.step, error in rounds:
+            scores = {"mae": error, "constant": 50 - error}
+            monkeypatch.setattr(train, "validate", lambda *_, found=scores, **__: found)
+            record = train._validate_and_keep_best(config, state, record, tmp_path, log)
+
+    run(CONFIG, (4, np.nan), (5, 30.0), (6, 40.0), (7, 20.0), (8, 20.0), (9, np.nan))
+    on = [CONFIG.train.validation_scenes, CONFIG.train.validation_images]
+    assert record == {"best_mae_deg": 20, "best_step": 7, "best_on": on}
     assert [(name, step, scores["mae"]) for name, step, scores in written] == [
         *(("best.safetensors", 5, 30), ("best.safetensors", 7, 20)),
     ]
+    fewer = dataclasses.replace(CONFIG.train, validation_images=1)
+    run(dataclasses.replace(CONFIG, train=fewer), (10, 35.0), (11, 36.0))
+    assert (record["best_mae_deg"], record["best_step"]) == (35, 10)

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import itertools
 import json
+import math
 import runpy
 import time
 from collections.abc import Iterator, Sequence
@@ -251,11 +252,13 @@ def _validate_and_keep_best(
     log.metrics(step, {f"validation/{name}": v for name, v in scores.items()})
     if log.shows_pictures:
         log.pictures(step, validation_pictures(params, config))
-    best = record["best_mae_deg"]
-    if best is not None and best <= scores["mae"]:
+    # A score on other scenes, before a resumption, is no measure of this one.
+    on = [config.train.validation_scenes, config.train.validation_images]
+    best = record["best_mae_deg"] if record.get("best_on", on) == on else None
+    if not scores["mae"] < (math.inf if best is None else best):  # nor is NaN better
         return record
     _write_weights(workdir / "best.safetensors", config, params, step, scores)
-    return {**record, "best_mae_deg": scores["mae"], "best_step": step}
+    return {"best_mae_deg": scores["mae"], "best_step": step, "best_on": on}
 
 
 def _write_weights(

@@ -27,7 +27,7 @@ class TrainLog:
         self._active = jax.process_index() == 0
         self._path = workdir / "metrics.jsonl"
         self._steps, self._last, self._per_step = steps, (first, time.monotonic()), 0.0
-        self._tensorboard: Any = _tensorboard(workdir) if self._active else None
+        self._tensorboard: Any = _tensorboard(workdir, first) if self._active else None
         if self._active and self._path.exists():
             lines = self._path.read_text().splitlines()
             kept = [line for line in lines if _step_of(line) <= first]
@@ -75,9 +75,9 @@ def _step_of(line: str) -> float:
         return float("inf")
 
 
-def _tensorboard(workdir: Path) -> Any:
+def _tensorboard(workdir: Path, first: int) -> Any:
     try:
         from tensorboardX import SummaryWriter
     except ImportError:
         return None
-    return SummaryWriter(str(workdir / "tensorboard"))
+    return SummaryWriter(str(workdir / "tensorboard"), purge_step=first + 1)

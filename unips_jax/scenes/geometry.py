@@ -15,7 +15,7 @@ from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.grids import pick, pixel_grid, spread
 from unips_jax.scenes.noise import Point, dot, normalize
-from unips_jax.scenes.sdf import Shape, detail
+from unips_jax.scenes.sdf import Shape, detail, without_cuts
 from unips_jax.scenes.shapes import draw_shape, is_flat
 from unips_jax.scenes.tracing import (
     Camera,
@@ -95,8 +95,8 @@ def normal_entropy_bits(normals: Array, mask: Array) -> Array:
     return -jnp.sum(jnp.where(p > 0, p * jnp.log2(jnp.maximum(p, 1e-12)), 0.0))
 
 
-def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array]:
-    """A small view of a candidate: entropy and the frame around its silhouette."""
+def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array, Array]:
+    """A small view: entropy, frame around the silhouette, whether there is one."""
     to_object = shape.radius * pose.T
     u, v = pixel_grid(CANDIDATE_SIZE)
     rays = camera_rays(camera, u, v)
@@ -104,6 +104,8 @@ def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array]:
     t, last = trace(shape, to_object, rays, near, 1 / CANDIDATE_SIZE, 10)
     point = along(*rays, t)
     hit = last < 0.7 / CANDIDATE_SIZE
+    # Where cuts left nothing, rays come near, but not this near.
+    seen = jnp.any(world_distance(shape, to_object, point) < 1e-3)
     slope = gradient(lambda p: world_distance(shape, to_object, p), point)
     normals = jnp.stack(normalize(slope), -1)
     margin = 0.7 / CANDIDATE_SIZE
@@ -116,7 +118,7 @@ def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array]:
     frame = jnp.stack([0.5 * (left + right), 0.5 * (low + high), half])
     empty = ~jnp.any(hit)
     frame = jnp.where(empty, jnp.asarray([0.0, 0.0, 1.0]), frame)
-    return normal_entropy_bits(normals, hit), frame
+    return normal_entropy_bits(normals, hit), frame, seen
 
 
 def _draw_camera(draws: Draws, config: SceneConfig, perspective: Array) -> Camera:
@@ -130,8 +132,11 @@ def _draw_camera(draws: Draws, config: SceneConfig, perspective: Array) -> Camer
 
 def _pose_and_frame(
     draws: Draws, config: SceneConfig, shape: Shape, camera: Camera
-) -> tuple[Array, Camera, Array]:
-    """Draws rotations, takes the first of sufficient entropy, crops the frame."""
+) -> tuple[Shape, Array, Camera, Array]:
+    """Draws rotations, takes the first of sufficient entropy, crops the frame.
+
+    Of one object in a thousand the cuts leave nothing: these lose their cuts.
+    """
     count = config.rotation_candidates
     free = draws.rotation(count)
     tilt = draws.uniform(-0.5, 0.5, 2, count)
@@ -143,17 +148,22 @@ def _pose_and_frame(
     reach = camera.distance / jnp.sqrt(jnp.maximum(camera.distance**2 - 1, 1e-3))
     reach = jnp.where(camera.perspective > 0, reach, 1.0)
     camera = camera._replace(window=jnp.stack([0.0, 0.0, 1.0]) * reach)
-    entropy, frames = jax.vmap(lambda pose: _look(shape, camera, pose))(poses)
-    good = (entropy > config.min_entropy_bits) | flat
-    chosen = jnp.where(jnp.any(good), jnp.argmax(good), jnp.argmax(entropy))
+    entropies, frames, seen = jax.vmap(lambda pose: _look(shape, camera, pose))(poses)
+    good = (entropies > config.min_entropy_bits) | flat
+    chosen = jnp.where(jnp.any(good), jnp.argmax(good), jnp.argmax(entropies))
     one_hot = (jnp.arange(count) == chosen).astype(jnp.float32)
     pose = jnp.einsum("k,kij->ij", one_hot, poses)
-    frame = one_hot @ frames
+    something = one_hot @ seen > 0
+    whole = without_cuts(shape)
+    whole_entropy, whole_frame, _ = _look(whole, camera, pose)
+    shape = shape._replace(slots=jnp.where(something, shape.slots, whole.slots))
+    entropy = jnp.where(something, one_hot @ entropies, whole_entropy)
+    frame = jnp.where(something, one_hot @ frames, whole_frame)
     fills = flat & draws.chance(0.75)
     margin = draws.uniform(1.0, 1.08)
     zoom = jnp.where(fills, draws.uniform(0.35, 0.6), margin)
     frame = frame * reach * jnp.stack([1.0, 1.0, zoom])
-    return pose, camera._replace(window=frame), one_hot @ entropy
+    return shape, pose, camera._replace(window=frame), entropy
 
 
 def _basis_directions(draws: Draws, count: int) -> Array:
@@ -264,7 +274,7 @@ def render_geometry(
     solid = draw_shape(key_shape, kind)
     draws = Draws(key_camera, 16 + 8 * config.rotation_candidates)
     view = _draw_camera(draws, config, perspective)
-    pose, view, entropy = _pose_and_frame(draws, config, solid, view)
+    solid, pose, view, entropy = _pose_and_frame(draws, config, solid, view)
     return finish_geometry(
         key_basis, solid, pose, view, size=size, config=config, entropy=entropy
     )

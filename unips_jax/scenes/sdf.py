@@ -20,6 +20,7 @@ NUM_SLOTS = NUM_UNIONS + NUM_CUTS
 NUM_WAVES = 5
 NUM_KNOTS = 5
 SOLID = 8.0
+_ABSENT = 22  # its column in a packed slot
 
 
 class Primitives(NamedTuple):
@@ -209,6 +210,11 @@ def _displace(shape: Shape, point: Point, d: Array) -> Array:
         return d - wave[4] * value, None
 
     return lax.scan(add, d, shape.waves)[0]
+
+
+def without_cuts(shape: Shape) -> Shape:
+    """The shape before anything was cut from it."""
+    return shape._replace(slots=shape.slots.at[NUM_UNIONS:, _ABSENT].set(1e3))
 
 
 def distance(shape: Shape, point: Point) -> Array:
