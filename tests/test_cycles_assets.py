@@ -39,6 +39,15 @@ def test_manifests_name_objects_materials_and_lightings(tmp_path):
     assert jobs[1].shape == jobs[2].shape and jobs[1].material != jobs[2].material
 
 
+def test_libraries_may_be_linked_to(tmp_path):
+    (tmp_path / "library").mkdir()
+    (tmp_path / "library" / "cow.obj").write_text("")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "all").symlink_to(tmp_path / "library")
+    found = assets.find_files(tmp_path / "mine", assets.MESHES, "--meshes")
+    assert found == [tmp_path / "mine" / "all" / "cow.obj"]
+
+
 def test_texture_sets_of_one_name_stay_apart(tmp_path):
     root = tmp_path / "wood-and-metal"
     for name in ("Wood/01/a_basecolor", "Metal/01/b_basecolor", "Wood/02/c_roughness"):

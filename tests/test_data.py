@@ -53,6 +53,17 @@ def test_processes_share_a_batch(root):
     assert_equal(joined, read(root, 4))
 
 
+def test_folders_are_found_through_links(root, tmp_path):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "lighting").symlink_to(root, target_is_directory=True)
+    found = PSWildFolders(tmp_path / "set", min_images=3)
+    assert len(found) == len(PSWildFolders(Path(root), min_images=3)) == 5
+
+
+def test_workers_read_the_same(root):
+    assert_equal(read(root, 5, first=1, workers=2), read(root, 6)[1:])
+
+
 def test_few_batches_are_read_ahead(root, monkeypatch):
     sizes = []
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from unips_jax.scenes import SceneConfig, render_batch, render_scene
-from unips_jax.scenes.sensor import record
+from unips_jax.scenes.sensor import _response, erode, record
 
 CONFIG = SceneConfig(rotation_candidates=2, num_directions=8)
 render = functools.partial(render_batch, size=32, num_images=3, config=CONFIG)
@@ -59,6 +59,28 @@ def test_a_good_camera_scales_each_image_by_what_it_says():
     expected = np.clip(radiance * np.asarray(gain)[..., None, None], 0, 1)
     np.testing.assert_allclose(images, expected, atol=2e-3)  # faint noise remains
     assert 0.1 < (expected < 1).mean()
+
+
+def test_responses_are_those_of_their_names():
+    linear = np.float32([0, 0.002, 0.05, 0.2140, 0.5, 1])
+    found = [np.asarray(_response(linear, jnp.int32(i), 2.2)) for i in range(3)]
+    np.testing.assert_allclose(found[0], linear, atol=1e-5)
+    srgb = [0, 0.02584, 0.24780, 0.5, 0.73536, 1]
+    np.testing.assert_allclose(found[1], srgb, atol=1e-4)
+    np.testing.assert_allclose(found[2][1:], linear[1:] ** (1 / 2.2), rtol=1e-5)
+
+
+def test_erosion_takes_pixels_of_the_border_alone():
+    mask = np.zeros((16, 16), bool)
+    mask[2:14, 3:13] = True
+    inner = np.zeros_like(mask)
+    inner[3:13, 4:12] = True
+    uniform = np.random.default_rng(0).random(mask.shape)
+    assert np.array_equal(erode(mask, uniform, 0.0), mask)
+    assert np.array_equal(erode(mask, uniform, 1.0), inner)
+    some = np.asarray(erode(mask, uniform, 0.5))
+    assert np.all(some >= inner) and np.all(some <= mask)
+    assert 0.3 < (some & ~inner).sum() / (mask & ~inner).sum() < 0.7
 
 
 def test_silhouettes_reach_the_frame(scenes):

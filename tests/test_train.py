@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from training_runs import CONFIG, DATA, batch
 
-from unips_jax.config import OptimConfig
-from unips_jax.optim import make_optimizer
+from unips_jax.config import DataConfig, OptimConfig
+from unips_jax.optim import make_optimizer, make_schedule
 from unips_jax.train_state import new_state
 from unips_jax.train_step import _accumulate, _untrained, augment, train_step
 
@@ -25,9 +25,17 @@ def test_loss_falls(name):
     state = new_state(config, jax.random.key(0))
     step = jax.jit(train_step, static_argnames="config")
     data, losses = batch(), []
-    for _ in range(30):
+
+    def one(params):
+        return np.asarray(params["encoder"]["fusion"]["fpn_bottleneck"]["kernel"])
+
+    average = one(state.params)
+    for k in range(30):
         state, metrics = step(state, data, jax.random.key(1), config=config)
         losses.append(float(metrics["loss"]))
+        decay = min(0.9, (1 + k) / (10 + k))
+        average = decay * average + (1 - decay) * one(state.params)
+    np.testing.assert_allclose(one(state.ema_params), average, atol=1e-6)
     assert np.mean(losses[-5:]) < 0.5 * losses[0]
     assert int(state.step) == 30
     # Nothing passes a layer whose ReLUs are all off: here the last of the encoder.
@@ -47,6 +55,37 @@ def test_untrained_counts_the_outputs_without_gradient():
     kernel = jnp.asarray([[[0.0, 1.0]], [[0.0, 0.0]]])
     grads = {"kernel": kernel, "bias": jnp.asarray([0.0, 2.0]), "key": jnp.zeros(3)}
     assert _untrained(grads) == pytest.approx((2 + 1 + 3) / 9)
+
+
+def test_schedules_are_those_of_their_names():
+    cosine = OptimConfig(schedule="cosine", learning_rate=0.8, warmup_steps=10)
+    rates = [float(make_schedule(cosine, 110)(step)) for step in (0, 5, 10, 60, 110)]
+    np.testing.assert_allclose(rates, [0, 0.4, 0.8, 0.4, 0], atol=1e-6)
+    steps = OptimConfig(schedule="step", learning_rate=0.5, decay_every=7)
+    for warmup in (0, 3):
+        rate = make_schedule(dataclasses.replace(steps, warmup_steps=warmup), 99)
+        rates = [float(rate(warmup + step)) for step in (0, 6, 7, 14)]
+        np.testing.assert_allclose(rates, [0.5, 0.5, 0.4, 0.32], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["adamw", "muon"])
+def test_kernels_alone_decay(name):
+    config = OptimConfig(
+        name=name, learning_rate=0.1, weight_decay=0.5, schedule="cosine"
+    )
+    params = {"a": {"kernel": jnp.ones((4, 3)), "bias": jnp.ones(3)}}
+    params["table"] = jnp.ones((5, 3))
+    optimizer = make_optimizer(config, 10)
+    zeros = jax.tree.map(jnp.zeros_like, params)
+    updates, _ = optimizer.update(zeros, optimizer.init(params), params)
+    np.testing.assert_allclose(updates["a"]["kernel"], -0.05, rtol=1e-6)
+    assert not np.any(updates["a"]["bias"]) and not np.any(updates["table"])
+
+
+def test_large_sets_have_fewer_pixels():
+    data = DataConfig(num_pixels=200, max_tokens=1000)
+    assert [data.pixels_for(n) for n in (2, 5, 8, 10, 2000)] == [200, 200, 125, 100, 1]
+    assert DataConfig(num_pixels=200, max_tokens=0).pixels_for(10) == 200
 
 
 def test_a_step_moves_no_output_far():

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 import random
 import signal
 import time
@@ -24,7 +23,8 @@ def uninterrupted(tmp_path_factory, folders):
     """A run on folders alone: rendering scenes takes long to compile."""
     workdir = tmp_path_factory.mktemp("whole")
     data = dataclasses.replace(DATA, source="folders", root=folders)
-    config = dataclasses.replace(CONFIG, data=data)
+    steps = dataclasses.replace(CONFIG.train, steps=40)  # enough to be killed in thrice
+    config = dataclasses.replace(CONFIG, data=data, train=steps)
     finish(start(workdir, config))
     return config, workdir
 
@@ -46,23 +46,23 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(
         config = dataclasses.replace(CONFIG, data=data, model=model)
         whole = tmp_path / "whole"
         finish(start(whole, config))
-    generator = random.Random(os.urandom(8))
-    kills = 0
-    while kills < 3:
-        process = start(workdir, config)
-        log = workdir / "metrics.jsonl"
-        before = log.read_text() if log.exists() else ""
-        # Kill after a random part of the steps, or of the compilation.
-        target = generator.randrange(1, 3)
+    log, checkpoints = workdir / "metrics.jsonl", workdir / "checkpoints"
+
+    def complete():
+        return {path.name for path in checkpoints.glob("*") if path.name.isdigit()}
+
+    for kill in range(3):
+        process, before = start(workdir, config), complete()
+        # The first falls into the first steps, the others upon, between or into the
+        # writing of checkpoints.
         while process.poll() is None:
-            lines = log.read_text() if log.exists() else ""
-            if lines.count("\n") >= before.count("\n") + target:
+            if complete() - before if kill else log.exists() and log.read_text():
                 break
-            time.sleep(0.02)
-        time.sleep(generator.random() * 0.3)
+            time.sleep(0.01)
+        time.sleep(random.random() * 0.2)
         process.send_signal(signal.SIGKILL)
         process.communicate()
-        kills += 1
+        assert process.returncode == -signal.SIGKILL
     finish(start(workdir, config))
     expected, actual = final_params(whole), final_params(workdir)
     assert set(expected) == set(actual)

@@ -5,6 +5,7 @@ whatever else the set holds.
 """
 
 import csv
+import glob
 import re
 import zlib
 from pathlib import Path
@@ -61,8 +62,9 @@ def find_files(folder: Path, suffixes: frozenset[str], option: str) -> list[Path
     Raises:
         InputError: if there are none.
     """
-    below = (p for p in folder.rglob("*") if p.suffix.lower() in suffixes)
-    found = sorted(p for p in below if p.is_file())
+    below = glob.iglob("**/*", root_dir=folder, recursive=True)  # through links
+    files = (folder / name for name in below)
+    found = sorted(p for p in files if p.suffix.lower() in suffixes and p.is_file())
     if not found:
         raise InputError(
             f"{option} {folder}: expected files {', '.join(sorted(suffixes))}, "

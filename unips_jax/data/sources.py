@@ -4,6 +4,7 @@ A folder `X.data/` holds photographs `0*` (training) or `L*` (test), linear, and
 `normal.tif`, 16 bit, n = 2 v / 65535 - 1; the object is where | 1 - |n| | < 1e-3.
 """
 
+import glob
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,7 +40,8 @@ class PSWildFolders:
         Raises:
             InputError: if there are none, or one lacks files.
         """
-        folders = sorted(path for path in root.glob("**/*.data") if path.is_dir())
+        below = glob.glob("**/*.data", root_dir=root, recursive=True)  # through links
+        folders = sorted(path for name in below if (path := root / name).is_dir())
         if not folders:
             raise InputError(
                 f"--data.root {str(root)!r}: expected folders X.data with photographs "
