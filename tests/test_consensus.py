@@ -69,6 +69,11 @@ def test_losses_of_guesses_are_their_distances():
     wrong = score(Guesses(-flat, lights + (0, 0.5, 0)), mask, normals, lights)
     np.testing.assert_allclose([wrong["coarse"], wrong["lights"]], [2, 0.5], atol=0.04)
     assert list(score(Guesses(flat, lights), mask, normals, None)) == ["coarse"]
+    # The last cell's corner is inside the mask, not what its normal is made of.
+    cut = mask.copy()
+    cut[:, 10:12, 11:13] = False
+    right = score(Guesses(flat, lights), cut, normals * cut[..., None], None)
+    assert right["coarse"] < 1e-3
 
 
 def test_training_teaches_every_parameter():

@@ -91,3 +91,16 @@ def test_scores_by_hand(monkeypatch):
         },
         rel=1e-4,
     )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--size", "50"], "--size: expected a multiple of 4, got 50"),
+        (["--images", "8", "0"], "--images: expected at least 1, got 0"),
+        (["--scenes", "0"], "--scenes, --images: expected at least 1, got 0"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, expected, capsys):
+    assert validation.main(arguments) == 2
+    assert expected in capsys.readouterr().err

@@ -275,6 +275,8 @@ def _guess_losses(
         frame = square_frame(mask, frame_kind)
         small = canonical_images(normals[None], mask, frame, grid)[0]
         true, inside = ops.normalize(small[..., :3]), small[..., 3]
+        # A cell counts by its corner: its centre, whose normal it has, may be outside.
+        inside *= jnp.any(true != 0, axis=-1)
         distance = plain_distance(squared_distance(ops.normalize(guess), true))
         return jnp.sum(mean_weights(inside) * distance)
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from unips_jax.command import command, keep_compiled, track
+from unips_jax.command import InputError, command, keep_compiled, track
 from unips_jax.config import Config, ModelConfig
 from unips_jax.estimation import estimate_normals
 from unips_jax.evaluation.pictures import (
@@ -170,6 +170,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--images", type=int, nargs="+", default=[8])
     parser.add_argument("--size", type=int, default=128, help="pixels")
     arguments = parser.parse_args(argv)
+    if arguments.size <= 0 or arguments.size % 4:
+        raise InputError(f"--size: expected a multiple of 4, got {arguments.size}")
+    least = min(arguments.scenes, *arguments.images)
+    if least < 1:
+        raise InputError(f"--scenes, --images: expected at least 1, got {least}")
     keep_compiled()
     model, params = load_weights(arguments.weights)
     for num_images in arguments.images:
