@@ -2,8 +2,8 @@
 
     unips train --config configs/tiny.py --workdir runs/tiny
 
-7.7 M parameters. The shipped weights are interim: 32,800 steps in 21 runs on two CPU
-cores (the last 2,300 took 85 minutes), 12.8 degrees on 256 held-out scenes with 8
+7.7 M parameters. The shipped weights are interim: 38,600 steps in 23 runs on two CPU
+cores (the last 2,700 took 100 minutes), 11.7 degrees on 256 held-out scenes with 8
 images (constant normal 39.7); the 3,000 steps below were not run in one go yet.
 
 What changed on the way, by step; gains were measured apart only where one is given.
