@@ -26,16 +26,16 @@ def test_loss_falls(name):
     step = jax.jit(train_step, static_argnames="config")
     data, losses = batch(), []
 
-    def one(params):
+    def kernel(params):
         return np.asarray(params["encoder"]["fusion"]["fpn_bottleneck"]["kernel"])
 
-    average = one(state.params)
+    average = kernel(state.params)
     for k in range(30):
         state, metrics = step(state, data, jax.random.key(1), config=config)
         losses.append(float(metrics["loss"]))
         decay = min(0.9, (1 + k) / (10 + k))
-        average = decay * average + (1 - decay) * one(state.params)
-    np.testing.assert_allclose(one(state.ema_params), average, atol=1e-6)
+        average = decay * average + (1 - decay) * kernel(state.params)
+    np.testing.assert_allclose(kernel(state.ema_params), average, atol=1e-6)
     assert np.mean(losses[-5:]) < 0.5 * losses[0]
     assert int(state.step) == 30
     # Nothing passes a layer whose ReLUs are all off: here the last of the encoder.

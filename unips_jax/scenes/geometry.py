@@ -116,8 +116,7 @@ def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array, Arra
     (left, right), (low, high) = bounds
     half = 0.5 * jnp.maximum(right - left, high - low) + margin
     frame = jnp.stack([0.5 * (left + right), 0.5 * (low + high), half])
-    empty = ~jnp.any(hit)
-    frame = jnp.where(empty, jnp.asarray([0.0, 0.0, 1.0]), frame)
+    frame = jnp.where(seen, frame, jnp.asarray([0.0, 0.0, 1.0]))
     return normal_entropy_bits(normals, hit), frame, seen
 
 
