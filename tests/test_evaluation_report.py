@@ -12,9 +12,11 @@ import pytest
 from matplotlib.image import imread
 
 from unips_jax import eval as evaluation
+from unips_jax.command import InputError
 from unips_jax.evaluation import pictures
 from unips_jax.evaluation.protocols import Case
 from unips_jax.evaluation.sheets import Panel, sheet
+from unips_jax.evaluation.store import Store
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 
@@ -142,6 +144,17 @@ def test_sheets_are_there_and_not_redrawn(work):
     assert len(sheets) == 6
     image = imread(sheets[0])
     assert image.shape[1] > 1200 and image[..., :3].min() < 0.1
+
+
+def test_lost_normals_are_named(tmp_path):
+    store = Store(tmp_path)
+    store.commit("sphere", {}, np.zeros((4, 4, 3)))
+    assert store.normals("sphere").shape == (4, 4, 3)
+    stored = store.path("sphere").with_suffix(".png")
+    for damage in (lambda: stored.write_bytes(b""), stored.unlink):
+        damage()
+        with pytest.raises(InputError, match=r"sphere\.png: .*missing or damaged"):
+            store.normals("sphere")
 
 
 def case_of(**changes):

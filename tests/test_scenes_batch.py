@@ -72,9 +72,9 @@ def test_responses_are_those_of_their_names():
 
 def test_erosion_takes_pixels_of_the_border_alone():
     mask = np.zeros((16, 16), bool)
-    mask[2:14, 3:13] = True
+    mask[2:, 3:13] = True  # cut by the frame below, where nothing is taken
     inner = np.zeros_like(mask)
-    inner[3:13, 4:12] = True
+    inner[3:, 4:12] = True
     uniform = np.random.default_rng(0).random(mask.shape)
     assert np.array_equal(erode(mask, uniform, 0.0), mask)
     assert np.array_equal(erode(mask, uniform, 1.0), inner)

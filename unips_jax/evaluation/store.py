@@ -138,10 +138,14 @@ class Store:
         Raises:
             InputError: if someone else than this program changed it.
         """
-        data = np.frombuffer(self.path(name).with_suffix(".png").read_bytes(), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+        path = self.path(name).with_suffix(".png")
+        data = np.frombuffer(path.read_bytes() if path.is_file() else b"", np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
         if image is None:
-            raise InputError(f"{self.path(name)}: its normal map is damaged: delete it")
+            raise InputError(
+                f"{path}: expected a normal map, got a missing or damaged file; delete "
+                "the .json beside it to have both computed again"
+            )
         return image[..., ::-1].astype(np.float32) * np.float32(2 / 65535) - 1
 
 
