@@ -4,6 +4,7 @@ import itertools
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from evaluation_data import encode16, to16, write_image
@@ -124,6 +125,24 @@ def test_an_object_at_its_own_size_is_read_as_it_is(quarters):
     np.testing.assert_allclose(grey, np.tile(expected * 200 / 255, 3), atol=1e-4)
     np.testing.assert_allclose(colour, expected * [0.5, 1.0, 0.25], atol=1e-3)
     np.testing.assert_allclose(found["normals"][2, 2:], [UP, FRONT], atol=1e-4)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_square_is_made_of_an_object_that_is_none(quarters, tmp_path, turned):
+    square = read_object(quarters, np.array([2, 0]), 2)
+    for path in (*quarters.photographs, quarters.normals):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        empty = np.zeros_like(image)
+        image = np.concatenate([image, empty], 0 if turned else 1)
+        cv2.imwrite(str(path), image)
+    found = read_object(quarters, np.array([2, 0]), 4)
+    more, none = (0, 2), (0, 0)
+    for name, widths in {
+        "mask": [more, more],
+        "normals": [more, more, none],
+        "images": [none, more, more, none],
+    }.items():
+        np.testing.assert_array_equal(found[name], np.pad(square[name], widths))
 
 
 def test_photographs_are_drawn_anew_for_every_object_without_repetition(root):

@@ -231,6 +231,7 @@ def test_paper_size():
         ({"num_heads": (3, 6)}, "num_heads"),
         ({"num_heads": (5, 6, 12, 24)}, "num_heads[0]"),
         ({"communication_heads": 7}, "communication_heads"),
+        ({"communication": "post", "context_dim": 100}, "communication_heads"),
         ({"aggregation_heads": 7}, "aggregation_heads"),
         ({"attention": "mine"}, "attention"),
         ({"dropout_rate": 1.5}, "dropout_rate"),

@@ -91,12 +91,15 @@ def test_the_sheet_has_a_tile_per_scene(scene):
         (["-o", "x", "--size", "30"], "multiple of 4, got 30"),
         (["-o", "x", "--objects", "0"], "--objects: expected at least 1"),
         (["--sheet", "x.txt"], "--sheet: expected a file ending"),
+        (["--sheet", "folder.png"], "--sheet: expected a file's name"),
+        (["--sheet", "file/x.png"], "--sheet file: cannot be a folder"),
         (["-o", "file"], "-o file: cannot be a folder"),
     ],
 )
 def test_bad_arguments_are_named(monkeypatch, tmp_path, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
+    (tmp_path / "folder.png").mkdir()
     assert render.main(arguments) == 2
     assert message in capsys.readouterr().err
 
@@ -119,6 +122,9 @@ def test_trees_are_kept_unless_of_other_code(monkeypatch, tmp_path, capsys, scen
     monkeypatch.setattr(render, "code_hash", lambda *_: "other")
     assert render.main(arguments) == 2
     assert "expected scenes of this version" in capsys.readouterr().err
+    (tmp_path / "directional" / "obj000.data" / "meta.json").unlink()
+    assert render.main(arguments) == 2
+    assert "meta.json cannot be read" in capsys.readouterr().err
 
 
 def test_several_processes_share_a_tree(monkeypatch, tmp_path, scene):

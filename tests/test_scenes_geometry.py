@@ -1,5 +1,7 @@
 """Shapes and what is seen of them against closed forms."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -188,6 +190,12 @@ def test_pick_and_spread_ignore_what_is_not_masked():
     np.testing.assert_allclose(small[0, 0], 3.0)
     full = grids.spread(small, jnp.asarray(mask), 4)
     np.testing.assert_allclose(full[mask], 3.0, rtol=1e-3)
+
+
+def test_the_sky_may_have_many_directions():
+    config = SceneConfig(num_directions=100)
+    render = functools.partial(geometry.render_geometry, size=16, config=config)
+    assert jax.eval_shape(render, jax.random.key(0)).directions.shape == (100, 3)
 
 
 def test_bad_sizes_and_configurations_are_named():

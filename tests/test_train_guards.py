@@ -83,16 +83,17 @@ def test_a_folder_serves_one_run(tmp_path):
 
 
 def test_bad_input_is_named(tmp_path):
-    check_input(CONFIG, MESH, tmp_path)
+    check_input(CONFIG, MESH)
     nowhere = dataclasses.replace(CONFIG.data, root="")
     with pytest.raises(InputError, match=r"--data\.root: expected the folder"):
-        check_input(dataclasses.replace(CONFIG, data=nowhere), MESH, tmp_path)
+        check_input(dataclasses.replace(CONFIG, data=nowhere), MESH)
     file = tmp_path / "file"
     file.touch()
     with pytest.raises(InputError, match=r"--data\.batch-size 8: .* 3 devices"):
-        check_input(CONFIG, SimpleNamespace(size=3), tmp_path)
-    with pytest.raises(InputError, match="--workdir .*file: expected a folder"):
-        check_input(CONFIG, MESH, file)
+        check_input(CONFIG, SimpleNamespace(size=3))
+    scenes = dataclasses.replace(CONFIG.data, source="scenes")
+    with pytest.raises(InputError, match="--workdir .*file: cannot be a folder"):
+        train.train(dataclasses.replace(CONFIG, data=scenes), file)
     too_many = MeshConfig(fsdp=2 * jax.device_count())
     with pytest.raises(InputError, match=r"--mesh\.fsdp"):
         make_mesh(too_many)
@@ -104,6 +105,7 @@ def test_bad_input_is_named(tmp_path):
         ("optim", "warmup_steps", -1),
         ("optim", "b2", 1.0),
         ("data", "workers", -1),
+        ("data", "image_size", 510),
         ("train", "validation_scenes", -1),
     ],
 )

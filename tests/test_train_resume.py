@@ -23,7 +23,8 @@ def uninterrupted(tmp_path_factory, folders):
     """A run on folders alone: rendering scenes takes long to compile."""
     workdir = tmp_path_factory.mktemp("whole")
     data = dataclasses.replace(DATA, source="folders", root=folders)
-    steps = dataclasses.replace(CONFIG.train, steps=40)  # enough to be killed in thrice
+    # Enough steps to be killed in thrice; checkpoints fall between the log's lines.
+    steps = dataclasses.replace(CONFIG.train, steps=40, log_every=2)
     config = dataclasses.replace(CONFIG, data=data, train=steps)
     finish(start(workdir, config))
     return config, workdir

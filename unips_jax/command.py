@@ -65,6 +65,23 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
     return run
 
 
+def make_folder(path: Path, option: str) -> None:
+    """Makes a folder, unless it is there.
+
+    Args:
+        path: of the folder.
+        option: of the command line that gave it.
+
+    Raises:
+        InputError: if it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror
+        raise InputError(f"{option} {path}: cannot be a folder ({reason})") from None
+
+
 def keep_compiled() -> None:
     """Keeps compiled functions for later runs, unless the user said where to."""
     import jax

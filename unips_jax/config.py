@@ -152,6 +152,12 @@ class ModelConfig:
                 f"channels, got {self.communication_heads}",
             )
         require(
+            self.communication != "post"
+            or self.context_dim % self.communication_heads == 0,
+            f"communication_heads: expected a divisor of "
+            f"context_dim={self.context_dim}, got {self.communication_heads}",
+        )
+        require(
             self.hidden_dim % self.aggregation_heads == 0,
             f"aggregation_heads: expected a divisor of hidden_dim={self.hidden_dim}, "
             f"got {self.aggregation_heads}",
@@ -231,8 +237,8 @@ class DataConfig:
             f"num_images: expected set sizes of at least 1, got {self.num_images}",
         )
         require(
-            self.source == "folders" or self.image_size % 4 == 0,
-            f"image_size: expected a multiple of 4 for scenes, got {self.image_size}",
+            self.image_size % 4 == 0,  # of scenes, which runs on folders validate on
+            f"image_size: expected a multiple of 4, got {self.image_size}",
         )
         require(
             0 <= self.scene_share <= 1,

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 import OpenEXR
 
-from unips_jax.command import InputError
+from unips_jax.command import InputError, make_folder
 
 
-def check_picture_name(path: Path, option: str) -> None:
-    """Refuses names that `write_picture` has no format for.
+def check_picture(path: Path, option: str) -> None:
+    """Refuses what `write_picture` could not write, before there is a picture.
 
     Args:
         path: of the picture.
@@ -32,18 +32,9 @@ def check_picture_name(path: Path, option: str) -> None:
         raise InputError(
             f"{option}: expected a file ending in .png, .jpg or .tif, got {path}"
         )
-
-
-def make_root(path: Path) -> None:
-    """Makes the folder that `-o` names.
-
-    Raises:
-        InputError: if it cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"-o {path}: cannot be a folder ({error.strerror})") from None
+    if path.is_dir():
+        raise InputError(f"{option}: expected a file's name, got a folder's, {path}")
+    make_folder(path.parent, option)
 
 
 def write_picture(path: Path, pixels: np.ndarray) -> None:

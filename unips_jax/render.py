@@ -19,11 +19,10 @@ import jax
 import numpy as np
 
 from unips_jax.claims import claimed
-from unips_jax.command import InputError, command, track
+from unips_jax.command import InputError, command, make_folder, track
 from unips_jax.evaluation.store import code_hash
 from unips_jax.ps_wild_files import (
-    check_picture_name,
-    make_root,
+    check_picture,
     write_folder,
     write_picture,
 )
@@ -120,7 +119,13 @@ def _is_there(folder: Path, options: dict[str, int]) -> bool:
     """Refuses a folder of another seed, size, number of photographs or code."""
     if not folder.exists():
         return False
-    facts = json.loads((folder / "meta.json").read_text())
+    try:
+        facts = json.loads((folder / "meta.json").read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{folder}: expected a folder that `unips render` wrote, got one whose "
+            f"meta.json cannot be read ({error}); choose another -o"
+        ) from None
     facts["images"] = len(list(folder.glob("L_*")))
     found = {name: facts.get(name) for name in options}
     if found != options:
@@ -207,9 +212,9 @@ def _main(argv: Sequence[str] | None = None) -> None:
                 f"--{name}: expected at least 1, got {getattr(options, name)}"
             )
     if options.output is not None:
-        make_root(options.output)
+        make_folder(options.output, "-o")
     if options.sheet is not None:
-        check_picture_name(options.sheet, "--sheet")
+        check_picture(options.sheet, "--sheet")
         render_sheet(options.sheet, size=options.size, seed=options.seed)
         print(f"wrote {options.sheet}")
     if options.output is not None:

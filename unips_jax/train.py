@@ -24,7 +24,7 @@ import tyro
 from jax.sharding import Mesh
 
 from unips_jax.checkpoint import Checkpoints
-from unips_jax.command import InputError, command, keep_compiled
+from unips_jax.command import InputError, command, keep_compiled, make_folder
 from unips_jax.compilation import compile_together
 from unips_jax.config import Config, to_json
 from unips_jax.data.pipeline import draw_num_images, folder_batches
@@ -76,8 +76,8 @@ def train(
         FloatingPointError: if the loss is not finite; the batch is saved.
     """
     mesh = make_mesh(config.mesh)
-    check_input(config, mesh, workdir)
-    workdir.mkdir(parents=True, exist_ok=True)
+    check_input(config, mesh)
+    make_folder(workdir, "--workdir")
     key = jax.random.key(config.train.seed)
     init_key, scene_key, step_key = jax.random.split(key, 3)
 
@@ -96,6 +96,7 @@ def train(
         else:
             abstract = jax.tree.map(_with_sharding, shapes, shardings)
             state, record = checkpoints.restore(abstract)
+        unlogged = jax.tree.map(np.float32, record.pop("unlogged", []))
         first = int(state.step)
         log = TrainLog(workdir, first, config.train.steps)
         run_step = compile_together(
@@ -108,17 +109,16 @@ def train(
         )
         batches = _batches(config, scene_key, mesh, first)
         pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
-        recent: list[dict[str, jax.Array]] = []  # since the last line
         for step in range(first + 1, config.train.steps + 1):
             batch = next(batches)
             state, metrics = run_step(state, batch, step_key)
             if pending is not None:
                 check_finite(*pending, workdir)
             pending = (step, batch, metrics)
-            recent.append(metrics)
+            unlogged.append(metrics)
             if step % config.train.log_every == 0:
-                log.metrics(step, _means(jax.device_get(recent)))
-                recent.clear()
+                log.metrics(step, _means(jax.device_get(unlogged)))
+                unlogged.clear()
             done = step == config.train.steps
             validates = done or step % config.train.validate_every == 0
             # All processes stop after the same step. They agree on it where they wait
@@ -131,7 +131,8 @@ def train(
             if validates:
                 record = _validate_and_keep_best(config, state, record, workdir, log)
             if saves:
-                checkpoints.save(step, state, record)
+                floats = jax.tree.map(float, unlogged)
+                checkpoints.save(step, state, {**record, "unlogged": floats})
             if stopping:
                 log.line(f"stopped by SIGTERM after step {step}; checkpoint saved")
                 break

@@ -18,13 +18,12 @@ from unips_jax.sharding import to_host
 from unips_jax.train_step import Batch
 
 
-def check_input(config: Config, mesh: Mesh, workdir: Path) -> None:
-    """Checks what the devices and the folders must bear.
+def check_input(config: Config, mesh: Mesh) -> None:
+    """Checks that there is data, and that the devices can share it.
 
     Args:
         config: of the run.
         mesh: its devices.
-        workdir: its folder.
 
     Raises:
         InputError: naming the option, what was expected, what came and the fix.
@@ -41,8 +40,6 @@ def check_input(config: Config, mesh: Mesh, workdir: Path) -> None:
             "--data.root: expected the folder of the training data, got none; give "
             "it, or train on scenes with --data.source scenes"
         )
-    if workdir.exists() and not workdir.is_dir():
-        raise InputError(f"--workdir {workdir}: expected a folder, got a file")
 
 
 @contextlib.contextmanager

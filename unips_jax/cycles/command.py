@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax.command import InputError
+from unips_jax.command import InputError, make_folder
 from unips_jax.cycles import assets
 from unips_jax.cycles.blender_process import Blender, find_python
 from unips_jax.cycles.lighting import LIGHTINGS
 from unips_jax.cycles.run import Settings, render_set
-from unips_jax.ps_wild_files import check_picture_name, make_root, write_picture
+from unips_jax.ps_wild_files import check_picture, write_picture
 
 PRESETS: dict[str, dict[str, Any]] = {
     "train": {"images": 10, "training": True},
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     given = vars(_parser().parse_args(argv))
     out, sheet = given.pop("output"), given.pop("sheet")
     if sheet is not None:
-        check_picture_name(sheet, "--sheet")
+        check_picture(sheet, "--sheet")
     preset = PRESETS[given.pop("preset")]
     chosen: dict[str, Any] = {"objects": 6, "seed": 0, "environments": None, **preset}
     chosen |= {name: value for name, value in given.items() if value is not None}
@@ -116,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         files["--manifest"] = zlib.crc32(manifest.read_bytes())
     if "lightings" in chosen:
         chosen["lightings"] = tuple(chosen["lightings"])
-    make_root(out)
+    make_folder(out, "-o")
     with Blender(find_python(), threads=chosen.pop("threads")) as blender:
         if around is None:
             chosen["environments"] = ()

@@ -80,6 +80,8 @@ def read_object(
 ) -> dict[str, np.ndarray]:
     """Reads some of an object's photographs, averaged down to a square size.
 
+    Zeros below or to the right make squares of those that are none.
+
     Args:
         files: of the object.
         chosen: which photographs, in order.
@@ -126,9 +128,12 @@ def _read(path: Path) -> np.ndarray:
 
 
 def _resize(image: np.ndarray, size: int) -> np.ndarray:
-    """Averages down, or interpolates up, to a square."""
-    if image.shape[:2] == (size, size):
+    """Makes a square, with zeros, and averages it down, or interpolates it up."""
+    height, width = image.shape[:2]
+    if height == width == size:
         return image
-    smaller = min(image.shape[:2]) >= size
-    method = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    side = max(height, width)
+    bottom, right = side - height, side - width
+    image = cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_CONSTANT)
+    method = cv2.INTER_AREA if side >= size else cv2.INTER_LINEAR
     return cv2.resize(image, (size, size), interpolation=method)

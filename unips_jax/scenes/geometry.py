@@ -303,7 +303,8 @@ def finish_geometry(
     to_object = shape.radius * pose.T
     shape = _resolve_detail(shape, camera, size)
     mask, point, normal, view, relief = _visible_surface(shape, to_object, camera, size)
-    directions = _basis_directions(Draws(key, 128), config.num_directions)
+    draws = Draws(key, max(128, 2 * config.num_directions + 1))
+    directions = _basis_directions(draws, config.num_directions)
     frame = (size, size)
     # A product with the identity: the compiler stores its result, where it would
     # otherwise work out the normals again for each of their uses.
