@@ -26,7 +26,8 @@ def test_manifests_name_objects_materials_and_lightings(tmp_path):
     listed = tmp_path / "list.csv"
     listed.write_text(
         "id,object,material,category,lighting\n7,cow,linen,Fabric,near\n"
-        "8,pig,oak,Wood,\n9,pig,gold,Metal,\n"
+        "8,pig,oak,Wood,\n9,pig,gold,Metal,\n",
+        encoding="utf-8-sig",
     )
     jobs = assets.manifest_jobs(listed, 0, [tmp_path / "cow.obj"], found)
     assert [job.name for job in jobs] == [

@@ -104,6 +104,12 @@ def test_bad_arguments_are_named(monkeypatch, tmp_path, capsys, arguments, messa
     assert message in capsys.readouterr().err
 
 
+def test_engines_are_not_abbreviated(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        render.main(["--eng", "cycles", "-o", str(tmp_path)])
+    assert "unrecognized arguments: --eng" in capsys.readouterr().err
+
+
 def _stand_in(monkeypatch, scene):
     """Renders the scene, always the same."""
     batch = Scene(*(np.asarray(leaf)[None] for leaf in scene))

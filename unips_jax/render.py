@@ -193,7 +193,10 @@ def _main(argv: Sequence[str] | None = None) -> None:
 
         return cycles.main(rest)
     parser = argparse.ArgumentParser(
-        prog="unips render", description=__doc__, parents=[chooser]
+        prog="unips render",
+        description=__doc__,
+        parents=[chooser],
+        allow_abbrev=False,  # nor does the chooser take an engine's abbreviation
     )
     parser.add_argument("-o", "--output", type=Path, help="folder for PS-Wild folders")
     parser.add_argument("--sheet", type=Path, help="picture of 64 random scenes")

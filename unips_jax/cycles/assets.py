@@ -179,7 +179,7 @@ def manifest_jobs(
     sets = {name.lower().rpartition("/")[2]: entry for name, entry in named}
     sets |= {name.lower(): entry for name, entry in named}
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:  # as Excel writes
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"--manifest {path}: cannot be read ({error})") from None
