@@ -157,7 +157,12 @@ def hemisphere(*, volume: float | None = None) -> Method:
     Returns:
         The method; it ignores images, lights and focal length. It raises `Unsupported`
         if the mask is empty.
+
+    Raises:
+        ValueError: if the volume is not positive.
     """
+    if volume is not None and not volume > 0:
+        raise ValueError(f"volume: expected pixels > 0, got {volume!r}")
 
     def method(
         images: np.ndarray,

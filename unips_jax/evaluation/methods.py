@@ -14,12 +14,14 @@ import hashlib
 import importlib
 import inspect
 import re
+import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from typeguard import TypeCheckError, check_type
 
 from unips_jax.baselines.method import Lights, Method
 from unips_jax.command import InputError
@@ -239,6 +241,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     except (ModuleNotFoundError, AttributeError) as error:
         raise InputError(f"method {name!r} is not in this version") from error
     try:
+        _check_types(factory, options)
         method = factory(**options)
     except (TypeError, ValueError) as error:
         raise InputError(f"method {request!r}: {error}") from error
@@ -250,6 +253,16 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
     if oracle:
         about += ". \N{DAGGER}: signs of x, y and z chosen by the truth"
     return Variant(_label(name, told, factory, oracle), key, method, about, oracle)
+
+
+def _check_types(factory: Callable[..., Method], options: Mapping[str, Any]) -> None:
+    kinds = typing.get_type_hints(factory)
+    for name in kinds.keys() & options.keys():
+        try:
+            check_type(options[name], kinds[name])
+        except TypeCheckError:
+            wanted, got = inspect.formatannotation(kinds[name]), options[name]
+            raise TypeError(f"{name}: expected {wanted}, got {got!r}") from None
 
 
 def _label(

@@ -84,17 +84,26 @@ def write_report(
 def write_submissions(store: Store, results: Results) -> Path:
     """Writes DiLiGenT10^2's files, a folder per method.
 
+    Files of objects that these results have no more are removed from these folders.
+
     Returns:
         The folder of these folders.
     """
     folder = store.root / "submission"
     with store.claim("publish", wait=True):
+        written: dict[Path, set[str]] = {}
         for result in results.results:
-            if result.count != results.main_count or result.unsupported:
+            if result.count != results.main_count:
                 continue
-            target = folder / slug(result.label)
-            data = submission_bytes(store.normals(result.name))
-            write_whole(target / f"{result.entry}.mat", data)
+            names = written.setdefault(folder / slug(result.label), set())
+            if not result.unsupported:
+                names.add(f"{result.entry}.mat")
+                data = submission_bytes(store.normals(result.name))
+                write_whole(folder / slug(result.label) / f"{result.entry}.mat", data)
+        for target, names in written.items():
+            for file in target.glob("*.mat"):
+                if file.name not in names:
+                    file.unlink()
     return folder
 
 

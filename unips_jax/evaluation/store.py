@@ -133,7 +133,7 @@ class Store:
         write_whole(path, text.encode())
 
     def normals(self, name: str) -> np.ndarray:
-        """A result's normal map, `[H, W, 3]`, float32.
+        """A result's normal map, `[H, W, 3]`, float32, unit or zero.
 
         Raises:
             InputError: if someone else than this program changed it.
@@ -146,7 +146,10 @@ class Store:
                 f"{path}: expected a normal map, got a missing or damaged file; delete "
                 "the .json beside it to have both computed again"
             )
-        return image[..., ::-1].astype(np.float32) * np.float32(2 / 65535) - 1
+        normals = image[..., ::-1].astype(np.float32) * np.float32(2 / 65535) - 1
+        # Zero lies between two of the 65,536 steps.
+        is_zero = (np.abs(normals) < 1e-4).all(axis=-1, keepdims=True)
+        return np.where(is_zero, np.float32(0), normals)
 
 
 def encode_normals(normals: np.ndarray) -> bytes:
