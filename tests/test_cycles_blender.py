@@ -315,11 +315,42 @@ bpy.ops.wm.read_factory_settings(use_empty=True)
 bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=3)
 bpy.ops.wm.obj_export(filepath=sys.argv[1], export_normals=False)
 """
+MIRRORED = """
+import sys
+
+import bpy
+
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_uv_sphere_add(segments=16, ring_count=8)
+ball = bpy.context.object
+ball.data.normals_split_custom_set_from_vertices([v.co for v in ball.data.vertices])
+ball.scale = (-1, 0.5, 1)
+bpy.ops.export_scene.gltf(filepath=sys.argv[1])
+"""
+TWO_CUBES = """
+import sys
+
+import bpy
+
+bpy.ops.wm.read_factory_settings(use_empty=True)
+for x, name in ((0, "first"), (3, sys.argv[2])):
+    bpy.ops.mesh.primitive_cube_add(location=(x, 0, 0))
+    layers = bpy.context.object.data.uv_layers
+    layers[0].name = name
+    if name == "none":
+        layers.remove(layers[0])
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+"""
+
+
+def run_blender(script, *arguments):
+    command = [find_python(), "-c", script, *arguments]
+    subprocess.run(command, check=True, capture_output=True)
 
 
 def test_all_objects_of_a_blend_file_in_their_places(blender, tmp_path):
     file = tmp_path / "two.blend"
-    subprocess.run([find_python(), "-c", BLEND, file], check=True, capture_output=True)
+    run_blender(BLEND, file)
     material = {"uniform": LAMBERTIAN}
     assert blender.ask("build", shape={"file": str(file)}, material=material) == 8
     blender.ask("place", rotation=[1, 0, 0, 0], focal_mm=None)
@@ -330,7 +361,7 @@ def test_all_objects_of_a_blend_file_in_their_places(blender, tmp_path):
 
 def test_bones_are_no_part_of_an_object(blender, tmp_path):
     file = tmp_path / "rigged.glb"
-    subprocess.run([find_python(), "-c", RIGGED, file], check=True, capture_output=True)
+    run_blender(RIGGED, file)
     shape, material = {"file": str(file)}, {"uniform": LAMBERTIAN}
     assert blender.ask("build", shape=shape, material=material) == 6 * 4
 
@@ -338,7 +369,7 @@ def test_bones_are_no_part_of_an_object(blender, tmp_path):
 def test_scans_without_normals_are_smooth(blender, tmp_path):
     """A ball of few faces has the normals of a sphere, not of its faces."""
     file = tmp_path / "ball.obj"
-    subprocess.run([find_python(), "-c", BALL, file], check=True, capture_output=True)
+    run_blender(BALL, file)
     shape, material = {"file": str(file)}, {"uniform": LAMBERTIAN}
     blender.ask("build", shape=shape, material=material)
     blender.ask("place", rotation=[1, 0, 0, 0], focal_mm=None)
@@ -347,6 +378,42 @@ def test_scans_without_normals_are_smooth(blender, tmp_path):
     inner = truth.mask & mask & (normals[..., 2] > 0.3)
     cosine = (truth.normals * normals).sum(-1)[inner]
     assert np.rad2deg(np.arccos(np.minimum(cosine, 1))).mean() < 1.5
+
+
+def test_normals_of_parts_that_are_mirrored_and_flattened(blender, tmp_path):
+    """An ellipsoid of few faces has the normals of its file, not of its faces."""
+    file = tmp_path / "mirrored.glb"
+    run_blender(MIRRORED, file)
+    shape, material = {"file": str(file)}, {"uniform": LAMBERTIAN}
+    blender.ask("build", shape=shape, material=material)
+    blender.ask("place", rotation=[1, 0, 0, 0], focal_mm=None)
+    truth = run.read_truth(blender.picture("truth", size=SIZE))
+    ball, _ = sphere()
+    half = np.zeros_like(ball)  # rows of the ball's picture squeezed to half
+    half[SIZE // 4 : -SIZE // 4] = ball[::2]
+    expected = half * [1, 2, 1]
+    expected /= np.maximum(np.linalg.norm(expected, axis=-1, keepdims=True), 1e-9)
+    inner = truth.mask & (half[..., 2] > 0.4)
+    cosine = (truth.normals * expected).sum(-1)[inner]
+    assert inner.sum() > 1000
+    assert np.rad2deg(np.arccos(np.minimum(cosine, 1))).mean() < 2.5
+
+
+@pytest.mark.parametrize("second", ["first", "second", "none"])
+def test_textures_of_parts_with_coordinates_of_other_names(blender, tmp_path, second):
+    file = tmp_path / "two.blend"
+    run_blender(TWO_CUBES, file, second)
+    stripes = np.zeros((64, 64, 3), np.uint8)
+    stripes[::4], stripes[1::4] = 255, 255
+    cv2.imwrite(str(tmp_path / "x_basecolor.png"), stripes)
+    maps = assets.find_materials(tmp_path)[tmp_path.name]
+    blender.ask("build", shape={"file": str(file)}, material=maps)
+    blender.ask("place", rotation=[1, 0, 0, 0], focal_mm=None)
+    truth = run.read_truth(blender.picture("truth", size=SIZE))
+    parts, labels = cv2.connectedComponents(truth.mask.astype(np.uint8))
+    assert parts == 1 + 2
+    for part in (1, 2):
+        assert truth.maps["baseColor"][labels == part].std() > 0.2
 
 
 def test_killed_and_started_again_it_ends_with_the_same_bytes(blender, tmp_path):

@@ -121,20 +121,61 @@ def read_mesh(file: str) -> Any:
         }
         readers[suffix](filepath=file)
     graph = bpy.context.evaluated_depsgraph_get()
-    b = bmesh.new()
+    parts = []
     for item in bpy.context.scene.objects:
         if item.type != "MESH" or item.hide_render:
             continue
         mesh = bpy.data.meshes.new_from_object(item.evaluated_get(graph))
         if suffix != "blend" and not mesh.has_custom_normals:
             round_shaded(mesh)
-        mesh.transform(item.matrix_world)
-        b.from_mesh(mesh)
+        _transform(mesh, item.matrix_world)
+        if mesh.polygons:
+            parts.append(mesh)
     for item in list(bpy.data.objects):
         bpy.data.objects.remove(item)
+    if not parts:
+        raise ValueError(f"{file}: holds no faces")
+    return _joined(parts)
+
+
+def _transform(mesh: Any, matrix: Any) -> None:
+    """Moves a mesh and the normals that its file gave it; `transform` does not."""
+    # By face and vertex: faces that are turned have their corners in another order.
+    given = {}
+    if mesh.has_custom_normals and matrix.determinant():
+        turn = matrix.to_3x3().inverted().transposed()
+        given = {
+            corner: (turn @ normal.vector).normalized()
+            for corner, normal in zip(_corners(mesh), mesh.corner_normals, strict=True)
+        }
+    mesh.transform(matrix)
+    if matrix.is_negative:
+        mesh.flip_normals()
+    if given:
+        mesh.normals_split_custom_set([given[corner] for corner in _corners(mesh)])
+
+
+def _corners(mesh: Any) -> list[tuple[int, int]]:
+    """Face and vertex of every corner, in Blender's order."""
+    return [(face.index, vertex) for face in mesh.polygons for vertex in face.vertices]
+
+
+def _joined(parts: list[Any]) -> Any:
+    """One mesh; it has texture coordinates if all of them have."""
+    mapped = all(mesh.uv_layers for mesh in parts)
+    b = bmesh.new()
+    for mesh in parts:
+        names = [
+            layer.name
+            for layer in mesh.uv_layers
+            if not (mapped and layer.active_render)
+        ]
+        for name in names:
+            mesh.uv_layers.remove(mesh.uv_layers[name])
+        if mapped:  # of one name, or they would be several layers
+            mesh.uv_layers[0].name = "UVMap"
+        b.from_mesh(mesh)
     mesh = bpy.data.meshes.new("mesh")
     b.to_mesh(mesh)
     b.free()
-    if not mesh.polygons:
-        raise ValueError(f"{file}: holds no faces")
     return mesh
