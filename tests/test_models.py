@@ -12,7 +12,7 @@ from flax.traverse_util import flatten_dict
 from small_networks import lively
 
 from unips_jax.config import ModelConfig, from_json, to_json
-from unips_jax.models.set_attention import PMA
+from unips_jax.models.set_attention import PMA, dot_product_attention
 from unips_jax.models.unips import UniPS
 
 SMALL = dataclasses.replace(
@@ -126,6 +126,27 @@ def test_pooling_equals_the_plain_block(attention):
     hidden = jax.nn.gelu(linear(hidden, params["mlp"]["fc1"]), approximate=False)
     expected = x + linear(hidden, params["mlp"]["fc2"])
     np.testing.assert_allclose(actual, expected, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("members", [5, 20])  # fewer and more than a head's channels
+def test_attention_is_a_softmax_per_head(members):
+    rng = np.random.default_rng(members)
+    q, k, v = rng.normal(size=(3, 2, members, 16))
+    bias = np.where(np.arange(members) < 4, 0, -np.inf)
+    kept = rng.random((2, members, members)) < 0.7  # of each head
+    result = dot_product_attention(
+        *map(jnp.float32, (100 * q, k, v)),
+        num_heads=2,
+        scale=0.5,
+        bias=bias,
+        dropout=lambda weights: jnp.where(kept, weights, 0),
+    )
+    for head in (0, 1):
+        own = slice(8 * head, 8 * head + 8)
+        logits = 50 * q[..., own] @ k[..., own].swapaxes(-1, -2) + bias
+        weights = np.exp(logits - logits.max(-1, keepdims=True))
+        weights *= kept[head] / weights.sum(-1, keepdims=True)
+        np.testing.assert_allclose(result[..., own], weights @ v[..., own], atol=1e-4)
 
 
 def test_every_parameter_is_reached_and_remat_changes_nothing():
