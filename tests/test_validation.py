@@ -1,6 +1,7 @@
 """Validation on held-out scenes."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from unips_jax.config import Config, DataConfig, TrainConfig
 from unips_jax.scenes import Scene, SceneConfig
 from unips_jax.train_log import TrainLog
 from unips_jax.validation import validate, validation_pictures
+from unips_jax.weights import save_weights
 
 CONFIG = Config(
     model=dataclasses.replace(SMALL, depths=(1,), num_heads=(2,)),
@@ -91,6 +93,17 @@ def test_scores_by_hand(monkeypatch):
         },
         rel=1e-4,
     )
+
+
+def test_all_scenes_of_one_kind(tmp_path, capsys):
+    weights = str(tmp_path / "w.safetensors")
+    save_weights(weights, CONFIG.model, lively_weights(CONFIG.model))
+    sizes = ["--scenes", "3", "--images", "2", "--size", "32"]
+    kinds = ["--light", "point", "--material", "dark", "--shape", "relief"]
+    assert validation.main(["--weights", weights, *sizes, *kinds]) == 0
+    scores = json.loads(capsys.readouterr().out)
+    groups = {name for name in scores if "/" in name and "camera" not in name}
+    assert groups == {"light/point", "material/dark", "shape/relief"}
 
 
 @pytest.mark.parametrize(
