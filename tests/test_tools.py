@@ -15,7 +15,12 @@ from test_baselines_gcnet import made_up
 from test_official_parity import official_arrays
 
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
-from unips_jax.weights import load_weights, random_weights
+from unips_jax.weights import (
+    load_weights,
+    random_weights,
+    save_weights,
+    weights_record,
+)
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 
@@ -121,6 +126,35 @@ def test_benchmark_knows_the_unit_of_memory(platform, unit, monkeypatch, tmp_pat
     monkeypatch.setattr(names["resource"], "getrusage", lambda _: usage)
     monkeypatch.setattr("sys.platform", platform)
     assert peak() == 3
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_only_better_weights_are_shipped(better, tmp_path, monkeypatch, capsys):
+    ship = runpy.run_path(str(TOOLS / "ship_weights.py"))["main"]
+    old, new = tmp_path / "old.safetensors", tmp_path / "new.safetensors"
+    first, second = (random_weights(SMALL, seed=seed) for seed in (0, 1))
+    save_weights(old, SMALL, first, record={"steps": {"all scenes": 40}}, half=True)
+    save_weights(new, SMALL, second, record={"step": 2})
+    untouched = old.read_bytes()
+
+    def validate(params, *_, num_images, **__):
+        is_new = np.allclose(params["decoder"]["fc2"]["kernel"], kernel_of(second))
+        return {"mae": 20 / num_images - (is_new and better), "constant": 40}
+
+    def kernel_of(params):
+        return np.float16(params["decoder"]["fc2"]["kernel"])
+
+    monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", validate)
+    assert ship([str(new), "--over", str(old), "--images", "8", "2"]) == 0
+    assert f"{{'2': {10 - better}.0, '8': {2.5 - better}" in capsys.readouterr().out
+    if not better:
+        assert old.read_bytes() == untouched
+        return
+    record = weights_record(old)
+    assert record["steps"] == {"all scenes": 42}
+    assert record["scores"]["mae_deg"]["8"] == 1.5
+    kernel = load_weights(old)[1]["decoder"]["fc2"]["kernel"]
+    np.testing.assert_array_equal(kernel, kernel_of(second))
 
 
 def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys):

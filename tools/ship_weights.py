@@ -1,0 +1,84 @@
+"""Makes trained weights the shipped ones, if they are better.
+
+    python tools/ship_weights.py runs/tiny/last.safetensors
+
+Scores them, in the half precision they ship in, beside the shipped ones on the same
+held-out scenes, and replaces these if the error with the most images is smaller. The
+file's record counts the steps of all runs, each begun with `--init-weights tiny`. Then
+do README's tables again, whose figures follow from the weights.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from unips_jax.command import command, keep_compiled
+from unips_jax.scenes import SceneConfig
+from unips_jax.validation import validate
+from unips_jax.weights import (
+    load_weights,
+    params_hash,
+    save_weights,
+    weights_path,
+    weights_record,
+)
+
+
+def scores_of(weights: str, scenes: int, images: Sequence[int]) -> dict[str, float]:
+    """Mean angular errors in degrees, by the number of images, and the constant's."""
+    model, params = load_weights(weights)
+    scores: dict[str, float] = {}
+    for count in images:
+        found = validate(
+            params,
+            model,
+            SceneConfig(),
+            count=scenes,
+            num_images=count,
+            size=128,
+            description=f"{Path(weights).stem}, {count} images",
+        )
+        scores[str(count)] = round(found["mae"], 2)
+    return {**scores, "constant": round(found["constant"], 2)}
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """Compares, and replaces."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("weights", metavar="FILE", help="written by a training run")
+    parser.add_argument("--over", default="tiny", help="shipped name or file (tiny)")
+    parser.add_argument("--scenes", type=int, default=256, help="held out (256)")
+    parser.add_argument("--images", type=int, nargs="+", default=[1, 2, 4, 8])
+    arguments = parser.parse_args(argv)
+    keep_compiled()
+    target, old = weights_path(arguments.over), weights_record(arguments.over)
+    new = weights_record(arguments.weights)
+    images = sorted(arguments.images)
+    with tempfile.TemporaryDirectory() as folder:
+        halved = str(Path(folder) / "new.safetensors")
+        save_weights(halved, *load_weights(arguments.weights), half=True)
+        before, after = (
+            scores_of(file, arguments.scenes, images) for file in (str(target), halved)
+        )
+        model, params = load_weights(halved)
+    print(f"before: {before}\nafter:  {after}")
+    if after[str(images[-1])] >= before[str(images[-1])]:
+        print(f"kept {target}: the others are not better with {images[-1]} images")
+        return
+    steps = old["steps"]
+    record = {
+        "steps": {**steps, "all scenes": steps["all scenes"] + new["step"]},
+        "note": "interim: short runs after another; what changed at which step is in "
+        "configs/tiny.py",
+        "scores": {"held_out_scenes": arguments.scenes, "mae_deg": after},
+    }
+    save_weights(target, model, params, record=record, half=True)
+    print(f"wrote {target}, hash {params_hash(model, params)[:8]}")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
