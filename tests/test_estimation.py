@@ -67,6 +67,7 @@ def test_chunked_equals_whole(params, monkeypatch):
         {"communication": "during"},
         {"communication": "pre"},
         {"communication": "post"},
+        {"ratio_dim": 2},
         {"consensus_blocks": 2, "consensus_dim": 32},
     ],
     ids=lambda changes: "-".join(map(str, changes.values())),

@@ -13,7 +13,7 @@ from small_networks import lively
 
 from unips_jax.config import ModelConfig, from_json, to_json
 from unips_jax.models.set_attention import PMA, dot_product_attention
-from unips_jax.models.unips import UniPS
+from unips_jax.models.unips import UniPS, append_ratios
 
 SMALL = dataclasses.replace(
     small_networks.SMALL,
@@ -55,6 +55,7 @@ VARIANTS = [
 ] + [
     {"aggregation": "max"},
     {"context_sampling": "corner"},
+    {"ratio_dim": 2},
     {"observation_dim": 4},
     {"consensus_blocks": 2, "consensus_dim": 32},
 ]
@@ -185,6 +186,39 @@ def test_observations_begin_as_the_identity_and_change_the_result():
     assert abs(changed - expected).max() > 1e-3
 
 
+def test_ratios_to_the_mean_of_the_set_are_free_of_albedo():
+    shading = np.array([5.0, 10.0, 30.0, 7.0])[:, None, None]
+    albedo = np.array([[1.0, 2.0], [0.5, 4.0]])
+    images = np.ones((4, 2, 2, 4))
+    images[..., :3] = (shading * albedo)[..., None] * (0.5, 1.0, 1.5)
+    images[:, 1, 1] = 0  # outside the mask
+    valid = jnp.array([True, True, True, False])  # their mean is 15
+    ratio, logarithm, mean = np.moveaxis(append_ratios(images, valid)[..., 4:], -1, 0)
+    inside = images[..., 3] == 1
+    expected = np.broadcast_to(shading / 15, inside.shape)[inside]
+    np.testing.assert_allclose(ratio[inside], expected, rtol=0.01)
+    np.testing.assert_allclose(logarithm[inside], np.log(expected), atol=0.01)
+    expected = np.broadcast_to(np.log(15 * albedo), inside.shape)[inside]
+    np.testing.assert_allclose(mean[inside], expected, atol=0.01)
+    for appended in (ratio, logarithm, mean):
+        assert not np.any(appended[~inside])
+
+
+def test_ratios_begin_as_nothing_and_change_the_result():
+    network, params, arguments = make(SHALLOW)
+    expected = network.apply({"params": params}, *arguments)
+    network = UniPS(dataclasses.replace(SHALLOW, ratio_dim=2))
+    embed = network.init(jax.random.key(0), *arguments)["params"]["encoder"]
+    embed = embed["ratio_embed"]
+    params = params | {"encoder": params["encoder"] | {"ratio_embed": embed}}
+    np.testing.assert_array_equal(
+        network.apply({"params": params}, *arguments), expected
+    )
+    embed["conv4"]["kernel"] = jnp.ones_like(embed["conv4"]["kernel"])
+    changed = network.apply({"params": params}, *arguments)
+    assert abs(changed - expected).max() > 1e-3
+
+
 @pytest.mark.parametrize("linear", [False, True])
 def test_linear_pooling_cannot_cut_off_the_coarsest_stage(linear):
     network, params, arguments = make(
@@ -262,6 +296,7 @@ def test_paper_size():
         ({"num_heads": (3, 6, 12, 0)}, "num_heads: expected a tuple of positive"),
         ({"patch_channels": (48,)}, "patch_channels: expected two widths"),
         ({"aggregation_layers": -1}, "aggregation_layers"),
+        ({"ratio_dim": -1}, "ratio_dim"),
         ({"observation_dim": -1}, "observation_dim"),
         ({"consensus_blocks": -1}, "consensus_blocks"),
         ({"consensus_dim": 48}, "consensus_dim: expected a multiple of 32, got 48"),

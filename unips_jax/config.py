@@ -32,6 +32,8 @@ class ModelConfig:
         patch_channels: widths of the patch embedding's first two pairs of
             convolutions (the last width is `embed_dim`).
         embed_dim: channels of Swin's first stage; doubles at every stage.
+        ratio_dim: width of a second patch embedding, of each image's ratio to the mean
+            of its set, which no albedo changes; 0: none (the paper's network).
         depths: Swin blocks per stage.
         num_heads: attention heads per Swin stage; must divide the stage's channels.
         window_size: side of Swin's windows, in tokens.
@@ -76,6 +78,7 @@ class ModelConfig:
     antialias: bool = False
     patch_channels: tuple[int, int] = (48, 96)
     embed_dim: int = 96
+    ratio_dim: int = 0
     depths: tuple[int, ...] = (2, 2, 18, 2)
     num_heads: tuple[int, ...] = (3, 6, 12, 24)
     window_size: int = 7
@@ -117,7 +120,9 @@ class ModelConfig:
             *("pma_mlp_dim", "predictor_dim"),
         )
         require_not_negative(
-            self, "aggregation_layers", "observation_dim", "consensus_blocks"
+            self,
+            *("ratio_dim", "aggregation_layers", "observation_dim"),
+            "consensus_blocks",
         )
         for name in ("patch_channels", "depths", "num_heads", "pool_scales"):
             values = getattr(self, name)

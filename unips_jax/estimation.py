@@ -68,15 +68,16 @@ def encode(
         )
         return jnp.moveaxis(sets, 0, 1).reshape(n, h, w, c)
 
+    related = encoder.relate(images, valid)
     if config.communication == "during":
-        level, maps = map_chunks(encoder.embed, images, CHUNK_IMAGES), []
+        level, maps = map_chunks(encoder.embed, related, CHUNK_IMAGES), []
         for i, norm in enumerate(encoder.norms):
             stage = functools.partial(encoder.stage, index=i)
             level = communicate(map_chunks(stage, level, CHUNK_IMAGES), i)
             maps.append(norm(level))
     else:
         maps = map_chunks(
-            lambda part: encoder.extract(encoder.embed(part)), images, CHUNK_IMAGES
+            lambda part: encoder.extract(encoder.embed(part)), related, CHUNK_IMAGES
         )
     if config.communication == "pre":
         maps = [communicate(level, i) for i, level in enumerate(maps)]

@@ -233,7 +233,7 @@ def _contexts(
     loop = config.remat and jax.default_backend() == "cpu"
     loop = loop and config.communication != "during"  # its images need each other
     network = UniPS(dataclasses.replace(config, remat=config.remat and not loop))
-    batch, num_images, *rest = inputs.shape
+    batch, num_images = inputs.shape[:2]
     options = None, deterministic, num_images
 
     def run(method: str, key: Array, *inputs: Any) -> Any:
@@ -249,7 +249,8 @@ def _contexts(
         return run("extract", jax.random.fold_in(key, index[0]), tokens, *options)
 
     # Without `vmap` over objects: the gradients of plain products are faster.
-    tokens = run("embed", key, inputs.reshape(-1, *rest))
+    related = run("relate", key, inputs)
+    tokens = run("embed", key, related.reshape(-1, *related.shape[2:]))
     each = tokens, 1 + jnp.arange(len(tokens))
     maps = map_chunks(extract, each, CHUNK_IMAGES) if loop else extract(each)
     contexts = run("combine", jax.random.fold_in(key, 0), maps, *options)

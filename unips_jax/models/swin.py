@@ -27,15 +27,17 @@ class PatchEmbed(nn.Module):
         channels: widths of the first two and the next two convolutions' first one.
         embed_dim: width of the output.
         dtype: compute type.
+        last_init: of the last convolution's kernel.
     """
 
     channels: tuple[int, int]
     embed_dim: int
     dtype: DTypeLike = jnp.float32
+    last_init: nn.initializers.Initializer = nn.initializers.he_normal()
 
     @nn.compact
     def __call__(self, x: Array) -> Array:
-        """Embeds `[B, H, W, 4]` into `[B, H/4, W/4, embed_dim]`."""
+        """Embeds `[B, H, W, C]` into `[B, H/4, W/4, embed_dim]`."""
         first, second = self.channels
         layers = (
             (first, 3, 2),
@@ -45,6 +47,7 @@ class PatchEmbed(nn.Module):
             (self.embed_dim, 1, 1),
         )
         for i, (features, kernel, stride) in enumerate(layers):
+            last = i + 1 == len(layers)
             x = nn.Conv(
                 features,
                 (kernel, kernel),
@@ -52,11 +55,11 @@ class PatchEmbed(nn.Module):
                 padding=kernel // 2,
                 use_bias=False,
                 dtype=self.dtype,
-                kernel_init=nn.initializers.he_normal(),
+                kernel_init=self.last_init if last else nn.initializers.he_normal(),
                 conv_general_dilated=ops.convolution,
                 name=f"conv{i}",
             )(x)
-            if i + 1 < len(layers):
+            if not last:
                 x = nn.relu(x)
         return x
 

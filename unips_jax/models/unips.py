@@ -27,12 +27,37 @@ _XYZ = 3
 _DARK = 0.02
 
 
+def append_ratios(images: Array, valid: Array | None = None) -> Array:
+    """Appends how each image of a set compares with their mean.
+
+    What an albedo does to a pixel, it does to all images of the set alike: their ratio
+    to the mean is shading alone. Our addition to the paper.
+
+    Args:
+        images: `[..., N, s, s, 4]`, normalised RGB and mask.
+        valid: `[N]`, bool: which images count; None: all.
+
+    Returns:
+        `[..., N, s, s, 7]`: appended are the ratio of the brightness to its mean over
+        the set, that ratio's logarithm, and the mean's; zero outside the mask.
+    """
+    inside = images[..., 3:]
+    light = jnp.maximum(jnp.mean(images[..., :3], axis=-1, keepdims=True), 0)
+    where = None if valid is None else valid[:, None, None, None]
+    mean = jnp.mean(light, axis=-4, keepdims=True, where=where)
+    mean = jnp.broadcast_to(mean, light.shape)
+    logarithm = jnp.log(mean + _DARK)
+    ratios = [light / (mean + _DARK), jnp.log(light + _DARK) - logarithm, logarithm]
+    return jnp.concatenate([images, *(inside * x for x in ratios)], axis=-1)
+
+
 class Encoder(nn.Module):
     """Global lighting contexts from images of canonical size.
 
-    `embed`, `stage` and `fuse` treat every image alone, and so does `extract` unless
-    images communicate during it; `communicate` treats every pixel alone. So a caller
-    may run each in pieces. `agree` comes last and sees everything.
+    `relate` comes first, and `agree` last; they see everything. `embed`, `stage` and
+    `fuse` treat every image alone, and so does `extract` unless images communicate
+    during it; `communicate` treats every pixel alone. So a caller may run each in
+    pieces.
 
     Attributes:
         config: the network's configuration.
@@ -46,6 +71,13 @@ class Encoder(nn.Module):
         dtype = jnp.dtype(config.dtype)
         stages = range(len(config.depths))
         self.patch_embed = PatchEmbed(config.patch_channels, config.embed_dim, dtype)
+        if config.ratio_dim:
+            self.ratio_embed = PatchEmbed(
+                (config.ratio_dim, 2 * config.ratio_dim),
+                config.embed_dim,
+                dtype,
+                nn.initializers.zeros,
+            )
         self.stages = [SwinStage(config, stage, dtype) for stage in stages]
         self.norms = [layer_norm(dtype) for _ in stages]
         self.mergings = [PatchMerging(dtype) for _ in stages[1:]]
@@ -87,6 +119,7 @@ class Encoder(nn.Module):
         Returns:
             `[..., N, s/4, s/4, context_dim]`.
         """
+        images = self.relate(images, valid)
         *sets, height, width, channels = images.shape
         flat = images.reshape(-1, height, width, channels)
         rest = (valid, deterministic, sets[-1])
@@ -129,9 +162,21 @@ class Encoder(nn.Module):
         changed, guesses = self.consensus(sets, valid)
         return changed.reshape(contexts.shape), guesses
 
+    def relate(self, images: Array, valid: Array | None = None) -> Array:
+        """What `embed` is to see: `[..., N, s, s, 4]`, with ratios `[..., 7]`."""
+        return append_ratios(images, valid) if self.config.ratio_dim else images
+
     def embed(self, images: Array) -> Array:
-        """Embeds patches: `[M, s, s, 4]` to tokens `[M, s/4, s/4, embed_dim]`."""
-        return self.patch_embed(images.astype(self.config.dtype))
+        """Embeds patches: `[M, s, s, C]` to tokens `[M, s/4, s/4, embed_dim]`.
+
+        Args:
+            images: from `relate`, the sets as one leading axis.
+        """
+        images = images.astype(self.config.dtype)
+        tokens = self.patch_embed(images[..., :4])
+        if self.config.ratio_dim:
+            tokens = tokens + self.ratio_embed(images[..., 3:])
+        return tokens
 
     def extract(
         self,
