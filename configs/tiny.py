@@ -44,7 +44,9 @@ What changed on the way, by step; gains were measured apart only where one is gi
 
 Short runs: Muon beats AdamW by about 3 degrees after 100 steps from the same start.
 Microbatches in a loop are slower than the whole batch. Twelve objects of half the
-pixels take 17 % less time per object than eight of all.
+pixels take 17 % less time per object than eight of all. On cores with AVX-512 BF16,
+products in bfloat16 are 1.4 to 1.9 times as fast; a step whose linear layers use them
+takes 4 % less: the rest converts, and turns matrices for the kernels' gradients.
 """
 
 from unips_jax.config import (
