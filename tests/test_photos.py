@@ -40,7 +40,8 @@ def save(path: Path, rgb: np.ndarray):
                 cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
             ],
         }
-        _, data = cv2.imencode(path.suffix, bgr, best.get(path.suffix.lower(), []))
+        suffix = path.suffix.lower().replace("jfif", "jpg")
+        _, data = cv2.imencode(suffix, bgr, best.get(suffix, []))
         path.write_bytes(data.tobytes())
     return path
 
@@ -56,6 +57,7 @@ def save(path: Path, rgb: np.ndarray):
         (".bmp", np.uint8, 0),
         (".webp", np.uint8, 0),  # lossless
         (".JPG", np.uint8, 4),  # quality 100, colours not subsampled
+        (".jfif", np.uint8, 4),
         (".exr", np.float32, 0),
         (".hdr", np.float32, 0.02),  # 8-bit mantissa, shared exponent: 3 / 256 steps
     ],

@@ -34,9 +34,7 @@ from unips_jax.exif import JPEG_START, PNG_START, exif_orientation, jpeg_segment
 
 Transfer = Literal["linear", "srgb"]
 
-SUFFIXES = frozenset(
-    (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr", ".hdr")
-)
+SUFFIXES = frozenset(".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split())
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _TIFF_MAGICS = (b"II*\0", b"MM\0*")

@@ -9,7 +9,7 @@ from unips_jax.command import InputError
 from unips_jax.evaluation.benchmarks import files, images
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
 from unips_jax.exif import exif_focal
-from unips_jax.image_files import as_linear, usual_transfer
+from unips_jax.image_files import SUFFIXES, as_linear, usual_transfer
 from unips_jax.photos import (
     Selection,
     folder_name,
@@ -120,12 +120,10 @@ def _unit(path: Path, normals: np.ndarray) -> np.ndarray:
     return np.abs(np.linalg.norm(normals, axis=-1) - 1) < 0.05
 
 
-def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in images.IMAGE_SUFFIXES
-
-
 def _truth_file(folder: Path) -> Path | None:
     found = sorted(
-        p for p in folder.iterdir() if p.stem.lower() in _TRUTH_STEMS and _is_image(p)
+        p
+        for p in folder.iterdir()
+        if p.stem.lower() in _TRUTH_STEMS and p.suffix.lower() in SUFFIXES
     )
     return found[0] if found else None

@@ -17,9 +17,8 @@ import numpy as np
 
 from unips_jax.command import InputError
 from unips_jax.evaluation.benchmarks.files import read_bytes
-from unips_jax.image_files import displayed, require_finite
+from unips_jax.image_files import SUFFIXES, displayed, require_finite
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".jpg", ".jpeg", ".bmp", ".webp")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 _NOT_PHOTOGRAPHS = re.compile(
@@ -48,7 +47,7 @@ class ImageFacts(NamedTuple):
 def is_photograph(path: Path) -> bool:
     """True for an image file that is neither truth, mask, depth nor material map."""
     return (
-        path.suffix.lower() in IMAGE_SUFFIXES
+        path.suffix.lower() in SUFFIXES
         and not path.name.startswith(".")
         and not _NOT_PHOTOGRAPHS.search(path.stem)
     )
