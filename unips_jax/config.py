@@ -265,8 +265,11 @@ class OptimConfig:
         name: "adamw" (the paper's) or "muon" (orthogonalised momentum for kernels,
             AdamW for the rest).
         learning_rate: the highest learning rate.
-        schedule: "cosine" (to zero at the last step) or "step" (the paper's decay).
+        schedule: "cosine" (to zero at the last step), "trapezoid" (constant, then
+            linearly to zero; from a checkpoint before the fall a run may be prolonged)
+            or "step" (the paper's decay).
         warmup_steps: linear rise from zero.
+        fall_steps: length of the fall of "trapezoid"; 0: none.
         decay_every: steps between two decays of "step" (the paper: 3 epochs).
         decay_rate: factor of each decay.
         weight_decay: on the kernels alone.
@@ -278,8 +281,9 @@ class OptimConfig:
 
     name: Literal["adamw", "muon"] = "adamw"
     learning_rate: float = 1e-4
-    schedule: Literal["cosine", "step"] = "step"
+    schedule: Literal["cosine", "trapezoid", "step"] = "step"
     warmup_steps: int = 0
+    fall_steps: int = 0
     decay_every: int = 10_099
     decay_rate: float = 0.8
     weight_decay: float = 0.05
@@ -295,11 +299,13 @@ class OptimConfig:
             ValueError: naming the field, what was expected and what came.
         """
         require_choice("name", self.name, ("adamw", "muon"))
-        require_choice("schedule", self.schedule, ("cosine", "step"))
+        require_choice("schedule", self.schedule, ("cosine", "trapezoid", "step"))
         require_positive(
             self, "learning_rate", "decay_every", "decay_rate", "accumulate"
         )
-        require_not_negative(self, "warmup_steps", "weight_decay", "clip_norm")
+        require_not_negative(
+            self, "warmup_steps", "fall_steps", "weight_decay", "clip_norm"
+        )
         for name in ("b2", "ema_decay"):
             decay = getattr(self, name)
             require(0 <= decay < 1, f"{name}: expected a decay in [0, 1), got {decay}")

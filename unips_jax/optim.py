@@ -35,13 +35,20 @@ def make_schedule(config: OptimConfig, steps: int) -> optax.Schedule:
             config.warmup_steps,
             max(steps, config.warmup_steps + 1),
         )
-    decay = optax.exponential_decay(
-        config.learning_rate, config.decay_every, config.decay_rate, staircase=True
-    )
+    if config.schedule == "trapezoid":
+        rest = max(steps - config.warmup_steps, 1)
+        fall = min(config.fall_steps, rest)
+        after = optax.linear_schedule(
+            config.learning_rate, 0.0, fall, transition_begin=rest - fall
+        )
+    else:
+        after = optax.exponential_decay(
+            config.learning_rate, config.decay_every, config.decay_rate, staircase=True
+        )
     if not config.warmup_steps:
-        return decay
+        return after
     warmup = optax.linear_schedule(0.0, config.learning_rate, config.warmup_steps)
-    return optax.join_schedules([warmup, decay], [config.warmup_steps])
+    return optax.join_schedules([warmup, after], [config.warmup_steps])
 
 
 def make_optimizer(config: OptimConfig, steps: int) -> optax.GradientTransformation:
