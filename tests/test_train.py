@@ -2,6 +2,9 @@
 
 import dataclasses
 import operator
+import platform
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +64,14 @@ def test_schedules_are_those_of_their_names():
     cosine = OptimConfig(schedule="cosine", learning_rate=0.8, warmup_steps=10)
     rates = [float(make_schedule(cosine, 110)(step)) for step in (0, 5, 10, 60, 110)]
     np.testing.assert_allclose(rates, [0, 0.4, 0.8, 0.4, 0], atol=1e-6)
+    level = OptimConfig(schedule="trapezoid", learning_rate=0.8, fall_steps=20)
+    for warmup in (0, 10):
+        rate = make_schedule(dataclasses.replace(level, warmup_steps=warmup), 110)
+        rates = [float(rate(step)) for step in (10, 50, 90, 100, 110)]
+        np.testing.assert_allclose(rates, [0.8, 0.8, 0.8, 0.4, 0], atol=1e-6)
+        assert float(rate(5)) == pytest.approx(0.4 if warmup else 0.8)
+        longer = make_schedule(dataclasses.replace(level, warmup_steps=warmup), 220)
+        assert [float(longer(step)) for step in (5, 90)] == [float(rate(5)), rates[2]]
     steps = OptimConfig(schedule="step", learning_rate=0.5, decay_every=7)
     for warmup in (0, 3):
         rate = make_schedule(dataclasses.replace(steps, warmup_steps=warmup), 99)
@@ -176,3 +187,28 @@ def test_nonfinite_loss_saves_the_batch(tmp_path, monkeypatch):
     with np.load(tmp_path / "nonfinite_step1.npz") as saved:
         assert np.isnan(saved["normals"]).any()
     assert not list((tmp_path / "checkpoints").glob("[0-9]*"))
+
+
+FAULTS = """
+import resource, sys
+import jax, jax.numpy as jnp
+from unips_jax.compilation import keep_freed_memory
+
+if sys.argv[1] == "keep":
+    keep_freed_memory()
+step = jax.jit(lambda x: x + 1)
+x = jnp.ones(16 * 2**20)
+for _ in range(100):
+    x = step(x).block_until_ready()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="tells glibc what to do")
+def test_kept_memory_is_not_asked_for_again():
+    faults = {}
+    for name in ("keep", "return"):
+        command = [sys.executable, "-c", FAULTS, name]
+        run = subprocess.run(command, check=True, capture_output=True, text=True)
+        faults[name] = int(run.stdout)
+    assert faults["keep"] < faults["return"] / 2

@@ -28,7 +28,11 @@ import numpy as np
 
 import unips_jax
 from unips_jax.command import InputError, command, keep_compiled
-from unips_jax.compilation import compile_together, return_freed_memory
+from unips_jax.compilation import (
+    compile_together,
+    keep_freed_memory,
+    return_freed_memory,
+)
 from unips_jax.config import Config, DataConfig, ModelConfig
 from unips_jax.estimation import estimate_normals
 from unips_jax.train import load_config
@@ -178,21 +182,27 @@ def estimation_benchmark(
     }
 
 
+def training_batch(config: Config, images: int) -> dict[str, jax.Array]:
+    """Objects for one step; the truth does not matter."""
+    data = config.data
+    stack, mask = disc(images, data.image_size)
+    normals = np.zeros((data.image_size,) * 2 + (3,), np.float32)
+    normals[..., 2] = 1
+    one = {"images": stack, "mask": mask, "normals": normals}
+    if config.model.consensus_blocks:
+        one["lights"] = np.zeros((images, 3), np.float32)
+    return {
+        name: jnp.asarray(np.broadcast_to(value, (data.batch_size, *value.shape)))
+        for name, value in one.items()
+    }
+
+
 def training_benchmark(config: Config, images: int, repeats: int) -> dict:
     """One step on one object, and the scenes it would need."""
     from unips_jax.scenes import render_batch
 
     data, model = config.data, config.model
-    stack, mask = disc(images, data.image_size)
-    normals = np.zeros((data.image_size,) * 2 + (3,), np.float32)
-    normals[..., 2] = 1
-    batch = {
-        "images": jnp.asarray(stack)[None].repeat(data.batch_size, 0),
-        "mask": jnp.asarray(mask)[None].repeat(data.batch_size, 0),
-        "normals": jnp.asarray(normals)[None].repeat(data.batch_size, 0),
-    }
-    if model.consensus_blocks:
-        batch["lights"] = jnp.zeros((data.batch_size, images, 3))
+    batch = training_batch(config, images)
     state = new_state(config, jax.random.key(0))
     step = compile_together(
         jax.jit(functools.partial(train_step, config=config), donate_argnums=0),
@@ -259,6 +269,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             f"--size {size}: with --train, images have the size that --config "
             f"{arguments.config} says; leave --size out"
         )
+    if arguments.train:
+        keep_freed_memory()  # as who trains does
     keep_compiled()
     if official:
         data = DataConfig(image_size=size, batch_size=1)

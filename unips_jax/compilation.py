@@ -1,4 +1,4 @@
-"""Compiling the training step: all processes together, and without its leftovers."""
+"""Compiling the training step: all processes together; and its memory."""
 
 import ctypes
 import sys
@@ -10,6 +10,9 @@ from orbax.checkpoint import multihost
 
 from unips_jax.train_state import TrainState
 from unips_jax.train_step import Batch
+
+# Options of mallopt, as malloc.h numbers them.
+_M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8
 
 Step = Callable[[TrainState, Batch, jax.Array], tuple[TrainState, dict[str, jax.Array]]]
 
@@ -45,12 +48,28 @@ def compile_together(step: Any, report: Callable[[str], None]) -> Step:
     return run
 
 
+def keep_freed_memory() -> None:
+    """Lets this process keep what it frees, where the C library can (glibc).
+
+    A compiled program's buffers are allocated anew at every call. Large ones come from
+    the system, which clears every page again: a quarter of a training step's time.
+    Called before threads allocate: each would have a heap of its own.
+    """
+    _call_glibc("mallopt", _M_ARENA_MAX, 1)
+    _call_glibc("mallopt", _M_MMAP_MAX, 0)
+    _call_glibc("mallopt", _M_TRIM_THRESHOLD, -1)  # never
+
+
 def return_freed_memory() -> None:
     """Gives the system what was freed but kept, where the C library can (glibc).
 
     The compiler's threads leave about a gigabyte for a step of the paper's size.
     """
+    _call_glibc("malloc_trim", 0)
+
+
+def _call_glibc(name: str, *arguments: int) -> None:
     if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(0)
+        function = getattr(ctypes.CDLL(None), name, None)
+        if function is not None:
+            function(*arguments)

@@ -25,7 +25,7 @@ from jax.sharding import Mesh
 
 from unips_jax.checkpoint import Checkpoints
 from unips_jax.command import InputError, command, keep_compiled, make_folder
-from unips_jax.compilation import compile_together
+from unips_jax.compilation import compile_together, keep_freed_memory
 from unips_jax.config import Config, to_json
 from unips_jax.data.pipeline import draw_num_images, folder_batches
 from unips_jax.scenes import render_batch
@@ -306,6 +306,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         "--distributed", action="store_true", help="join the other processes first"
     )
     arguments, overrides = parser.parse_known_args(argv)
+    keep_freed_memory()
     if arguments.fields:
         overrides = ["--help"]
     elif arguments.workdir is None:
