@@ -3,7 +3,7 @@
     unips train --config configs/tiny.py --workdir runs/tiny
 
 6.9 M parameters. The shipped weights are interim: 53,200 steps in 32 runs on two CPU
-cores (the last 2,950 took 127 minutes), 10.6 degrees on 256 held-out scenes with 8
+cores (the last 2,950 took 138 minutes), 10.6 degrees on 256 held-out scenes with 8
 images (constant normal 39.7); the 3,000 steps below were not run in one go yet.
 
 What changed on the way, by step; gains were measured apart only where one is given.
