@@ -25,7 +25,7 @@ from jax.sharding import Mesh
 
 from unips_jax.checkpoint import Checkpoints
 from unips_jax.command import InputError, command, keep_compiled, make_folder
-from unips_jax.compilation import compile_together, keep_freed_memory
+from unips_jax.compilation import compile_together, keep_freed_memory, settle_memory
 from unips_jax.config import Config, to_json
 from unips_jax.data.pipeline import draw_num_images, folder_batches
 from unips_jax.scenes import render_batch
@@ -109,6 +109,7 @@ def train(
         )
         batches = _batches(config, scene_key, mesh, first)
         pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
+        validated = False
         for step in range(first + 1, config.train.steps + 1):
             batch = next(batches)
             state, metrics = run_step(state, batch, step_key)
@@ -130,6 +131,9 @@ def train(
                 check_finite(*pending, workdir)
             if validates:
                 record = _validate_and_keep_best(config, state, record, workdir, log)
+                if not validated:  # it compiled
+                    settle_memory()
+                validated = True
             if saves:
                 floats = jax.tree.map(float, unlogged)
                 checkpoints.save(step, state, {**record, "unlogged": floats})
