@@ -112,5 +112,6 @@ def get_config() -> Config:
             squared_loss=False,
             checkpoint_every=250,
             validate_every=1000,
+            keep_memory=True,
         ),
     )

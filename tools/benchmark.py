@@ -201,12 +201,14 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
     """One step on one object, and the scenes it would need."""
     from unips_jax.scenes import render_batch
 
+    settle = keep_freed_memory() if config.train.keep_memory else return_freed_memory
     data, model = config.data, config.model
     batch = training_batch(config, images)
     state = new_state(config, jax.random.key(0))
     step = compile_together(
         jax.jit(functools.partial(train_step, config=config), donate_argnums=0),
         report=lambda line: print(line, file=sys.stderr),
+        settle=settle,
     )
     key = jax.random.key(1)
     state, _ = jax.block_until_ready(step(state, batch, key))
@@ -269,8 +271,6 @@ def main(argv: Sequence[str] | None = None) -> None:
             f"--size {size}: with --train, images have the size that --config "
             f"{arguments.config} says; leave --size out"
         )
-    if arguments.train:
-        keep_freed_memory()  # as who trains does
     keep_compiled()
     if official:
         data = DataConfig(image_size=size, batch_size=1)

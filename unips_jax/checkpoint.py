@@ -23,6 +23,7 @@ _FREE = {
     "scenes": set(),
     "train": {
         *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
+        "keep_memory",
         *("validation_scenes", "validation_images"),
     },
 }

@@ -19,7 +19,9 @@ _HOLES = [2**n for n in range(20, 13, -1)]
 Step = Callable[[TrainState, Batch, jax.Array], tuple[TrainState, dict[str, jax.Array]]]
 
 
-def compile_together(step: Any, report: Callable[[str], None]) -> Step:
+def compile_together(
+    step: Any, report: Callable[[str], None], settle: Callable[[], None]
+) -> Step:
     """The jitted step; no process runs it before all have compiled it.
 
     Processes do not compile equally fast, and collectives between them give up after
@@ -28,6 +30,7 @@ def compile_together(step: Any, report: Callable[[str], None]) -> Step:
     Args:
         step: what `jax.jit` gave.
         report: called with a line before every compilation.
+        settle: called after it, from `keep_freed_memory`, or `return_freed_memory`.
 
     Returns:
         A function like `step` that compiles once for every shape of batch.
@@ -43,24 +46,28 @@ def compile_together(step: Any, report: Callable[[str], None]) -> Step:
             count = batch["images"].shape[1]
             report(f"compiling for sets of {count} images; it takes a minute or so")
             compiled[types] = step.lower(state, batch, key).compile()
-            settle_memory()
+            settle()
             wait(key=f"compiled {types}", timeout_ms=3_600_000)
         return compiled[types](state, batch, key)
 
     return run
 
 
-def keep_freed_memory() -> None:
+def keep_freed_memory() -> Callable[[], None]:
     """Lets this process keep what it frees, where the C library can (glibc).
 
     A compiled program's buffers are allocated anew at every call. Large ones come from
     the system, which clears every page again: a quarter of a training step's time.
     Called before threads allocate: each would have a heap of its own.
+
+    Returns:
+        What to call after compiling: `settle_memory`.
     """
     if library := _glibc():
         library.mallopt(_M_ARENA_MAX, 1)
         library.mallopt(_M_MMAP_MAX, 0)
         library.mallopt(_M_TRIM_THRESHOLD, -1)  # never
+    return settle_memory
 
 
 def return_freed_memory() -> None:

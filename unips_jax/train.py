@@ -25,7 +25,11 @@ from jax.sharding import Mesh
 
 from unips_jax.checkpoint import Checkpoints
 from unips_jax.command import InputError, command, keep_compiled, make_folder
-from unips_jax.compilation import compile_together, keep_freed_memory, settle_memory
+from unips_jax.compilation import (
+    compile_together,
+    keep_freed_memory,
+    return_freed_memory,
+)
 from unips_jax.config import Config, to_json
 from unips_jax.data.pipeline import draw_num_images, folder_batches
 from unips_jax.scenes import render_batch
@@ -75,6 +79,7 @@ def train(
             there, or the batch does not fit the devices.
         FloatingPointError: if the loss is not finite; the batch is saved.
     """
+    settle = keep_freed_memory() if config.train.keep_memory else return_freed_memory
     mesh = make_mesh(config.mesh)
     check_input(config, mesh)
     make_folder(workdir, "--workdir")
@@ -106,6 +111,7 @@ def train(
                 out_shardings=(shardings, replicated(mesh)),
             ),
             log.line,
+            settle,
         )
         batches = _batches(config, scene_key, mesh, first)
         pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
@@ -132,7 +138,7 @@ def train(
             if validates:
                 record = _validate_and_keep_best(config, state, record, workdir, log)
                 if not validated:  # it compiled
-                    settle_memory()
+                    settle()
                 validated = True
             if saves:
                 floats = jax.tree.map(float, unlogged)
@@ -310,7 +316,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         "--distributed", action="store_true", help="join the other processes first"
     )
     arguments, overrides = parser.parse_known_args(argv)
-    keep_freed_memory()
     if arguments.fields:
         overrides = ["--help"]
     elif arguments.workdir is None:
