@@ -1,4 +1,4 @@
-"""Compiling the training step, all processes together; and the memory of both."""
+"""Compiling the training step, all processes together; and what becomes of memory."""
 
 import ctypes
 import sys
@@ -84,7 +84,7 @@ def settle_memory() -> None:
 
     The compiler leaves tens of thousands of holes, of as many sizes, between blocks in
     use. glibc looks through them at every allocation: an eighth of a training step's
-    time. Taken for good but never touched, they cost addresses, not memory.
+    time. Taken for good but never touched, they cost addresses and a page each.
     """
     return_freed_memory()
     if library := _glibc():
