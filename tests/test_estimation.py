@@ -11,6 +11,7 @@ from small_networks import SMALL, lively_weights, with_dtype
 from unips_jax import estimate_normals, estimation
 from unips_jax.canonical import canonical_images, square_frame
 from unips_jax.models.unips import UniPS
+from unips_jax.ops import normalize
 from unips_jax.streaming import estimate_photographs
 
 
@@ -127,6 +128,39 @@ def test_canonical_images_are_resized_ones(antialias):
         np.testing.assert_allclose(small[..., :3], expected, atol=1e-6)
 
 
+def test_mirror_averages_with_the_mirrored_images(params):
+    """And so does its gradient; mirrored images give the mirrored normals."""
+    images, mask = photographs()
+    config = dataclasses.replace(SMALL, mirror=True)
+    target = jax.random.normal(jax.random.key(0), (*mask.shape, 3))
+
+    def mirrored(normals):
+        return normals[:, ::-1] * jnp.array([-1, 1, 1])
+
+    def both(images):
+        plain = estimate_normals(params, images, mask, config=SMALL)
+        other = estimate_normals(
+            params, images[:, :, ::-1], mask[:, ::-1], config=SMALL
+        )
+        return normalize(plain + mirrored(other))
+
+    def averaged(images):
+        return estimate_normals(params, images, mask, config=config)
+
+    expected = both(images)
+    plain = estimate_normals(params, images, mask, config=SMALL)
+    assert abs(plain - expected).max() > 0.01
+    np.testing.assert_allclose(averaged(images), expected, atol=1e-5)
+    swapped = estimate_normals(params, images[:, :, ::-1], mask[:, ::-1], config=config)
+    np.testing.assert_allclose(mirrored(swapped), expected, atol=1e-5)
+
+    gradients = [
+        jax.grad(lambda images, f=f: jnp.sum(f(images) * target))(images)
+        for f in (both, averaged)
+    ]
+    np.testing.assert_allclose(*gradients, rtol=1e-3, atol=1e-4)
+
+
 def test_no_mask_is_the_whole_image(params):
     images, _ = photographs()
     normals = estimate_normals(params, images, config=SMALL)
@@ -221,12 +255,14 @@ def equations(jaxpr, inside_loop=False):
                 yield from equations(value, looped)
 
 
-def test_loops_never_hold_whole_images(params):
+@pytest.mark.parametrize("mirror", [False, True])
+def test_loops_never_hold_whole_images(params, mirror):
     """Nor does their backward pass: else its cost grows with the pixels squared."""
     images = jnp.zeros((3, 90, 120, 3))
+    config = dataclasses.replace(SMALL, mirror=mirror)
 
     def loss(images):
-        return jnp.sum(estimate_normals(params, images, config=SMALL)[..., 2])
+        return jnp.sum(estimate_normals(params, images, config=config)[..., 2])
 
     gradient = jax.make_jaxpr(jax.grad(loss))(images)
     sizes = [
@@ -264,15 +300,15 @@ def test_compiles_once_per_shape(params):
 
 
 @pytest.mark.parametrize(
-    ("dtype", "transfer", "antialias"),
+    ("dtype", "transfer", "changes"),
     [
-        ("float32", "linear", False),
-        ("uint16", "linear", True),
-        ("uint8", "srgb", False),
+        ("float32", "linear", {"mirror": True}),
+        ("uint16", "linear", {"antialias": True}),
+        ("uint8", "srgb", {}),
     ],
 )
-def test_streaming_gives_the_same(params, dtype, transfer, antialias):
-    config = dataclasses.replace(SMALL, antialias=antialias)
+def test_streaming_gives_the_same(params, dtype, transfer, changes):
+    config = dataclasses.replace(SMALL, **changes)
     images, mask = photographs(n=5)
     stored, linear = images, images
     if dtype != "float32":

@@ -68,6 +68,9 @@ class ModelConfig:
         context_sampling: where a pixel reads the contexts: at its centre ("center",
             clamped at the border) or at its corner with zeros beyond the border
             ("corner", half a pixel off, as the authors' weights need).
+        mirror: estimate from the mirrored images too, and average, so that mirrored
+            images give exactly the mirrored normals; takes twice the time. Not in the
+            paper, and not part of training.
         dtype: compute type; parameters stay float32 ("float64", for checks, needs
             `jax_enable_x64`).
         remat: recompute Swin blocks and set attention in the backward pass, for memory
@@ -103,6 +106,7 @@ class ModelConfig:
     consensus_dim: int = 128
     dropout_rate: float = 0.1
     context_sampling: Literal["center", "corner"] = "center"
+    mirror: bool = False
     dtype: Literal["float32", "bfloat16", "float64"] = "float32"
     remat: bool = False
 

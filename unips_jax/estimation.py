@@ -102,29 +102,42 @@ def decode(
     frame: Frame,
     valid: Array | None = None,
     *,
+    width: int,
     config: ModelConfig,
 ) -> Array:
     """Normals of pixels, from their sets.
 
     Args:
         params: the network's parameters.
-        contexts: `[N, s/4, s/4, context_dim]`, from `encode`.
+        contexts: `[V, N, s/4, s/4, context_dim]`, from `encode`, of one view or two:
+            the images, and the mirrored images (`ModelConfig.mirror`).
         pixels: `[P, N, 3]`, normalised RGB.
         places: rows and columns of the pixels in the image, `[P]` each.
-        frame: the square that was encoded.
+        frame: the square that was encoded, `[V]`.
         valid: `[N]`, bool: which images count; None: all.
+        width: columns of the image.
         config: the network's configuration.
 
     Returns:
-        Unit normals, `[P, 3]`.
+        Unit normals, `[P, 3]`; of two views the mean, mirrored back.
     """
     network = UniPS(config).bind({"params": params})
     offset = 0.5 if config.context_sampling == "center" else 0.0
-    scale = contexts.shape[1] / frame.side
-    rows = (places[0] - frame.top + offset) * scale - 0.5
-    columns = (places[1] - frame.left + offset) * scale - 0.5
-    sampled = network.sample(contexts, rows, columns)
-    return network.decoder(pixels, sampled, valid)
+
+    def look(view: tuple[Array, Frame, Array]) -> Array:
+        contexts, frame, mirrored = view
+        scale = contexts.shape[1] / frame.side
+        rows, columns = places
+        columns = jnp.where(mirrored, width - 1 - columns, columns)
+        rows = (rows - frame.top + offset) * scale - 0.5
+        columns = (columns - frame.left + offset) * scale - 0.5
+        sampled = network.sample(contexts, rows, columns)
+        normals = network.decoder(pixels, sampled, valid)
+        return jnp.where(mirrored, normals * jnp.array([-1, 1, 1]), normals)
+
+    mirrored = jnp.arange(len(contexts)) == 1
+    normals = map_views(look, (contexts, frame, mirrored))
+    return normals[0] if len(normals) == 1 else ops.normalize(jnp.sum(normals, axis=0))
 
 
 def estimate_normals(
@@ -213,12 +226,21 @@ def _estimate_normals(
 ) -> Array:
     n, height, width, _ = images.shape
     images = normalize_images(images, mask)
-    frame = square_frame(mask, frame_kind)
-    inputs = canonical_images(
-        images, mask, frame, config.canonical_size, config.antialias
-    )
-    contexts = encode(
-        params, inputs, valid, config=config, uniform_contexts=uniform_contexts
+
+    def look(images: Array, mask: Array) -> tuple[Array, Frame]:
+        frame = square_frame(mask, frame_kind)
+        size, antialias = config.canonical_size, config.antialias
+        return canonical_images(images, mask, frame, size, antialias), frame
+
+    views = [look(images, mask)]
+    if config.mirror:
+        views.append(look(images[:, :, ::-1], mask[:, ::-1]))
+    inputs, frame = jax.tree.map(lambda *view: jnp.stack(view), *views)
+    contexts = map_views(
+        lambda view: encode(
+            params, view, valid, config=config, uniform_contexts=uniform_contexts
+        ),
+        inputs,
     )
 
     # Masked pixels first, so that whole chunks beyond them can be skipped. Gathered
@@ -232,7 +254,16 @@ def _estimate_normals(
         def run(part: tuple[Array, Array]) -> Array:
             pixels, index = part
             places = index // width, index % width
-            return decode(params, contexts, pixels, places, frame, valid, config=config)
+            return decode(
+                params,
+                contexts,
+                pixels,
+                places,
+                frame,
+                valid,
+                width=width,
+                config=config,
+            )
 
         result = jax.eval_shape(run, part)
         # Zeros that vary over the devices of a `shard_map` as the result does.
@@ -244,6 +275,14 @@ def _estimate_normals(
     normals = jnp.zeros((count, 3), decoded.dtype)
     normals = normals.at[index].set(decoded, mode="drop")
     return normals.reshape(height, width, 3)
+
+
+def map_views(function: Callable[[Any], Any], views: Any) -> Any:
+    """`jax.lax.map`, without a loop where there is one view."""
+    if jax.tree.leaves(views)[0].shape[0] > 1:
+        return jax.lax.map(function, views)
+    result = function(jax.tree.map(lambda x: x[0], views))
+    return jax.tree.map(lambda x: x[None], result)
 
 
 def map_chunks(function: Callable[[Any], Any], xs: Any, size: int) -> Any:

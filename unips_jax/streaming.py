@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from unips_jax.canonical import Frame, FrameKind, resize_weights, square_frame
@@ -49,24 +50,19 @@ def estimate_photographs(
     n = images.shape[0]
     bucket = next((b for b in _BUCKETS if b >= n), n)
     valid = np.arange(bucket) < n
-    square = square_frame(mask, frame)
-    resize = tuple(
-        np.asarray(
-            resize_weights(
-                start, square.side, config.canonical_size, length, config.antialias
-            )
+    views = [(images, mask)]
+    if config.mirror:
+        views.append((images[:, :, ::-1], mask[:, ::-1]))
+    looks = []
+    for view in views:
+        inputs, square, gains = _canonical_photographs(
+            *view, bucket, frame, transfer, config
         )
-        for start, length in zip((square.top, square.left), mask.shape, strict=True)
-    )
-    inputs = np.zeros((bucket, *[config.canonical_size] * 2, 4), np.float32)
-    gains = np.zeros(n, np.float32)
-    for i in range(n):
-        inputs[i], gains[i] = _canonical_photograph(
-            images[i], mask, square, resize, transfer, config
+        contexts = _encode_jit(
+            params, inputs, valid, config=config, uniform_contexts=uniform_contexts
         )
-    contexts = _encode_jit(
-        params, inputs, valid, config=config, uniform_contexts=uniform_contexts
-    )
+        looks.append((contexts, square))
+    contexts, square = jax.tree.map(lambda *view: jnp.stack(view), *looks)
 
     normals = np.zeros((*mask.shape, 3), np.float32)
     size = max(1, CHUNK_TOKENS // bucket)
@@ -77,7 +73,14 @@ def estimate_photographs(
         pixels[: y.size, :n] = values.swapaxes(0, 1)
         places = tuple(np.resize(p, size).astype(np.int32) for p in (y, x))
         decoded = _decode_jit(
-            params, contexts, pixels, places, square, valid, config=config
+            params,
+            contexts,
+            pixels,
+            places,
+            square,
+            valid,
+            width=mask.shape[1],
+            config=config,
         )
         normals[y, x] = np.asarray(decoded)[: y.size]
         if progress is not None:
@@ -90,6 +93,30 @@ _encode_jit = jax.jit(encode, static_argnames=("config", "uniform_contexts"))
 
 
 _decode_jit = jax.jit(decode, static_argnames="config")
+
+
+def _canonical_photographs(
+    images: np.ndarray,
+    mask: np.ndarray,
+    bucket: int,
+    kind: FrameKind,
+    transfer: Transfer,
+    config: ModelConfig,
+) -> tuple[np.ndarray, Frame, np.ndarray]:
+    """What the encoder sees, `[bucket, s, s, 4]`, its frame, the photographs' gains."""
+    frame = square_frame(mask, kind)
+    size = config.canonical_size
+    resize = tuple(
+        np.asarray(resize_weights(start, frame.side, size, length, config.antialias))
+        for start, length in zip((frame.top, frame.left), mask.shape, strict=True)
+    )
+    inputs = np.zeros((bucket, size, size, 4), np.float32)
+    gains = np.zeros(len(images), np.float32)
+    for i, image in enumerate(images):
+        inputs[i], gains[i] = _canonical_photograph(
+            image, mask, frame, resize, transfer, config
+        )
+    return inputs, frame, gains
 
 
 def _masked_pixels(
