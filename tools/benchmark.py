@@ -159,8 +159,9 @@ def estimation_benchmark(
     return_freed_memory()  # who estimates loads weights: drawing them does not count
     forget_peak_memory()
     stack, mask = map(jnp.asarray, disc(images, size))
-    decoder = decoder_operations(config) * images * int(mask.sum())
-    encoder = encoder_operations(config, images)
+    views = 1 + config.mirror
+    decoder = views * decoder_operations(config) * images * int(mask.sum())
+    encoder = views * encoder_operations(config, images)
     run = functools.partial(estimate_normals, params, stack, mask, config=config)
     nothing = jnp.zeros_like(mask)  # no pixel to decode: the same program's encoder
     empty = functools.partial(estimate_normals, params, stack, nothing, config=config)
