@@ -160,7 +160,8 @@ def estimate_normals(
     condition: use `jax.lax.map` over objects to keep that).
 
     Images need not be square: the encoder sees the smallest square around the mask,
-    with zeros where it leaves the image, and no aspect ratio changes.
+    with zeros where it leaves the image, and no aspect ratio changes. With `mirror` in
+    the configuration it also sees the mirrored images, and the normals are the mean.
 
     On NVIDIA GPUs JAX multiplies float32 matrices with 10 bits of mantissa unless
     `jax.default_matmul_precision("highest")` surrounds the call.

@@ -55,6 +55,7 @@ def estimate_photographs(
         views.append((images[:, :, ::-1], mask[:, ::-1]))
     looks = []
     for view in views:
+        # The gains are the same for both views.
         inputs, square, gains = _canonical_photographs(
             *view, bucket, frame, transfer, config
         )
