@@ -17,7 +17,7 @@ from unips_jax.config import Config, to_json
 
 # What may change between the runs of one training: where and how, not what.
 _FREE = {
-    "model": {"remat"},
+    "model": {"remat", "mirror"},
     "optim": {"fall_steps"},
     "data": {"root", "workers"},
     "scenes": set(),
