@@ -2,7 +2,8 @@
 
 Source: UniPS (Ikehata, CVPR 2022), Sec. 4. Departures from the paper: images need not
 be square. The encoder sees the smallest square around the mask (zeros where it leaves
-the image), and every pixel is decoded at its own place and size.
+the image), and every pixel is decoded at its own place and size. The normals may be the
+mean over the images and the mirrored images (`ModelConfig.mirror`).
 """
 
 import functools
@@ -124,7 +125,7 @@ def decode(
     network = UniPS(config).bind({"params": params})
     offset = 0.5 if config.context_sampling == "center" else 0.0
 
-    def look(view: tuple[Array, Frame, Array]) -> Array:
+    def decode_view(view: tuple[Array, Frame, Array]) -> Array:
         contexts, frame, mirrored = view
         scale = contexts.shape[1] / frame.side
         rows, columns = places
@@ -136,7 +137,7 @@ def decode(
         return jnp.where(mirrored, normals * jnp.array([-1, 1, 1]), normals)
 
     mirrored = jnp.arange(len(contexts)) == 1
-    normals = map_views(look, (contexts, frame, mirrored))
+    normals = map_views(decode_view, (contexts, frame, mirrored))
     return normals[0] if len(normals) == 1 else ops.normalize(jnp.sum(normals, axis=0))
 
 
@@ -228,14 +229,14 @@ def _estimate_normals(
     n, height, width, _ = images.shape
     images = normalize_images(images, mask)
 
-    def look(images: Array, mask: Array) -> tuple[Array, Frame]:
+    def view_of(images: Array, mask: Array) -> tuple[Array, Frame]:
         frame = square_frame(mask, frame_kind)
         size, antialias = config.canonical_size, config.antialias
         return canonical_images(images, mask, frame, size, antialias), frame
 
-    views = [look(images, mask)]
+    views = [view_of(images, mask)]
     if config.mirror:
-        views.append(look(images[:, :, ::-1], mask[:, ::-1]))
+        views.append(view_of(images[:, :, ::-1], mask[:, ::-1]))
     inputs, frame = jax.tree.map(lambda *view: jnp.stack(view), *views)
     contexts = map_views(
         lambda view: encode(
@@ -279,7 +280,7 @@ def _estimate_normals(
 
 
 def map_views(function: Callable[[Any], Any], views: Any) -> Any:
-    """`jax.lax.map`, without a loop where there is one view."""
+    """`jax.lax.map` over arrays `[V, ...]`, without a loop where there is one view."""
     if jax.tree.leaves(views)[0].shape[0] > 1:
         return jax.lax.map(function, views)
     result = function(jax.tree.map(lambda x: x[0], views))

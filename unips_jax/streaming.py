@@ -53,7 +53,7 @@ def estimate_photographs(
     views = [(images, mask)]
     if config.mirror:
         views.append((images[:, :, ::-1], mask[:, ::-1]))
-    looks = []
+    encoded = []
     for view in views:
         # The gains are the same for both views.
         inputs, square, gains = _canonical_photographs(
@@ -62,8 +62,8 @@ def estimate_photographs(
         contexts = _encode_jit(
             params, inputs, valid, config=config, uniform_contexts=uniform_contexts
         )
-        looks.append((contexts, square))
-    contexts, square = jax.tree.map(lambda *view: jnp.stack(view), *looks)
+        encoded.append((contexts, square))
+    contexts, square = jax.tree.map(lambda *view: jnp.stack(view), *encoded)
 
     normals = np.zeros((*mask.shape, 3), np.float32)
     size = max(1, CHUNK_TOKENS // bucket)

@@ -54,7 +54,7 @@ from unips_jax.validation import validate, validation_pictures
 from unips_jax.weights import load_weights, save_weights
 
 # Fields of a network that do not change what its parameters mean.
-_FREE = {"remat", "dtype", "dropout_rate", "drop_path_rate", "mirror"}
+_SAME_PARAMETERS = {"remat", "dtype", "dropout_rate", "drop_path_rate", "mirror"}
 
 
 def train(
@@ -170,7 +170,7 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
     changed = {
         name: (value, run[name])
         for name, value in own.items()
-        if name not in _FREE and run[name] != value
+        if name not in _SAME_PARAMETERS and run[name] != value
     }
     if changed:
         raise InputError(
