@@ -157,6 +157,33 @@ def test_only_better_weights_are_shipped(better, tmp_path, monkeypatch, capsys):
     np.testing.assert_array_equal(kernel, kernel_of(second))
 
 
+def test_the_mean_of_old_and_new_weights_can_be_shipped(tmp_path, monkeypatch, capsys):
+    ship = runpy.run_path(str(TOOLS / "ship_weights.py"))["main"]
+    old, new = tmp_path / "old.safetensors", tmp_path / "new.safetensors"
+    networks = [random_weights(SMALL, seed=seed) for seed in (0, 1)]
+    save_weights(old, SMALL, networks[0], record={"steps": {"all scenes": 40}})
+    save_weights(new, SMALL, networks[1], record={"step": 2})
+    kernels = [params["decoder"]["fc2"]["kernel"] for params in networks]
+    mean = (kernels[0] + kernels[1]) / 2
+
+    def validate(params, *_, **__):
+        kernel = params["decoder"]["fc2"]["kernel"]
+        return {"mae": float(np.abs(kernel - mean).max()), "constant": 40}
+
+    monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", validate)
+    argv = [str(new), "--over", str(old), "--images", "8", "--average"]
+    assert ship(argv) == 0
+    kernel = load_weights(old)[1]["decoder"]["fc2"]["kernel"]
+    np.testing.assert_allclose(kernel, mean, atol=1e-3)
+
+    other = dataclasses.replace(SMALL, hidden_dim=2 * SMALL.hidden_dim)
+    save_weights(new, other, random_weights(other), record={"step": 2})
+    shipped = old.read_bytes()
+    assert ship(argv) == 2
+    assert "--average: expected two networks alike" in capsys.readouterr().err
+    assert old.read_bytes() == shipped
+
+
 def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys):
     main = runpy.run_path(str(TOOLS / "render_cycles.py"))["main"]
     given = ["--setup", str(tmp_path / "bpy"), "--python", "python3.0"]

@@ -3,17 +3,23 @@
     python tools/ship_weights.py runs/tiny/last.safetensors
 
 Scores them, in the half precision they ship in, beside the shipped ones on the same
-held-out scenes, and replaces these if the error with the most images is smaller. The
-file's record counts the steps of all runs, each begun with `--init-weights tiny`. Then
-do README's tables again, whose figures follow from the weights.
+held-out scenes, and replaces these if the error with the most images is smaller. With
+`--average` the mean of both takes the place of the trained ones: two ends of runs whose
+learning rate fell to zero lie around a better point. The file's record counts the steps
+of all runs, each begun with `--init-weights tiny`. Then do README's tables again, whose
+figures follow from the weights.
 """
 
 import argparse
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from unips_jax.command import command, keep_compiled
+import jax
+import numpy as np
+
+from unips_jax.command import InputError, command, keep_compiled
 from unips_jax.scenes import SceneConfig
 from unips_jax.validation import validate
 from unips_jax.weights import (
@@ -43,6 +49,13 @@ def scores_of(weights: str, scenes: int, images: Sequence[int]) -> dict[str, flo
     return {**scores, "constant": round(found["constant"], 2)}
 
 
+def mean_of(params: Any, others: Any) -> Any:
+    """The mean of two networks' parameters, which must have the same shapes."""
+    if jax.tree.map(np.shape, params) != jax.tree.map(np.shape, others):
+        raise InputError("--average: expected two networks alike, got different ones")
+    return jax.tree.map(lambda a, b: (a + b) / 2, params, others)
+
+
 @command
 def main(argv: Sequence[str] | None = None) -> None:
     """Compares, and replaces."""
@@ -53,6 +66,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--over", default="tiny", help="shipped name or file (tiny)")
     parser.add_argument("--scenes", type=int, default=256, help="held out (256)")
     parser.add_argument("--images", type=int, nargs="+", default=[1, 2, 4, 8])
+    parser.add_argument(
+        "--average", action="store_true", help="ship the mean of FILE and the shipped"
+    )
     arguments = parser.parse_args(argv)
     keep_compiled()
     target, old = weights_path(arguments.over), weights_record(arguments.over)
@@ -60,7 +76,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     images = sorted(arguments.images)
     with tempfile.TemporaryDirectory() as folder:
         halved = str(Path(folder) / "new.safetensors")
-        save_weights(halved, *load_weights(arguments.weights), half=True)
+        model, params = load_weights(arguments.weights)
+        if arguments.average:
+            params = mean_of(params, load_weights(str(target))[1])
+        save_weights(halved, model, params, half=True)
         before, after = (
             scores_of(file, arguments.scenes, images) for file in (str(target), halved)
         )
