@@ -14,10 +14,8 @@ import argparse
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
-import numpy as np
 
 from unips_jax.command import InputError, command, keep_compiled
 from unips_jax.scenes import SceneConfig
@@ -49,13 +47,6 @@ def scores_of(weights: str, scenes: int, images: Sequence[int]) -> dict[str, flo
     return {**scores, "constant": round(found["constant"], 2)}
 
 
-def mean_of(params: Any, others: Any) -> Any:
-    """The mean of two networks' parameters, which must have the same shapes."""
-    if jax.tree.map(np.shape, params) != jax.tree.map(np.shape, others):
-        raise InputError("--average: expected two networks alike, got different ones")
-    return jax.tree.map(lambda a, b: (a + b) / 2, params, others)
-
-
 @command
 def main(argv: Sequence[str] | None = None) -> None:
     """Compares, and replaces."""
@@ -78,7 +69,14 @@ def main(argv: Sequence[str] | None = None) -> None:
         halved = str(Path(folder) / "new.safetensors")
         model, params = load_weights(arguments.weights)
         if arguments.average:
-            params = mean_of(params, load_weights(str(target))[1])
+            shipped, others = load_weights(str(target))
+            if shipped != model:
+                raise InputError(
+                    f"--average: expected two networks alike, got {model} in "
+                    f"{arguments.weights} and {shipped} in {target}; train with "
+                    f"--init-weights {arguments.over} or leave --average out"
+                )
+            params = jax.tree.map(lambda a, b: (a + b) / 2, params, others)
         save_weights(halved, model, params, half=True)
         before, after = (
             scores_of(file, arguments.scenes, images) for file in (str(target), halved)
