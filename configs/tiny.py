@@ -52,8 +52,8 @@ What changed on the way, by step; gains were measured apart only where one is gi
   Its weights alone have 10.27, the mean of them and those they began from 10.10, and
   ps-wild-mini 12.5 (`tools/ship_weights.py --average`).
 - 55,390 to 57,820: two such runs, the second from the mean of the shipped weights and
-  the first's. The mean of those it began from and its own have 10.02 (a third of each
-  of the three 10.07).
+  the first's. The mean of those it began from and its own has 10.02, and ps-wild-mini
+  12.5; a third of each of the three has 10.07.
 
 Short runs: Muon beats AdamW by about 3 degrees after 100 steps from the same start.
 Microbatches in a loop are slower than the whole batch. Twelve objects of half the
