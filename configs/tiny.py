@@ -64,11 +64,11 @@ What changed on the way, by step; gains were measured apart only where one is gi
   250: 9.94, and 9.92 as the mean with what they began from; from that mean 2,100 at
   2e-4 with a fall of 1,500: 9.69 (9.73 as a mean likewise), and ps-wild-mini 12.3.
 - 62,770: 2,200 steps at 2e-4 with a fall of 1,700: 9.71, and ps-wild-mini 12.07. The
-  mean with what they began from has 9.61 and 12.14, and is shipped, chosen by the
-  first of these figures.
+  mean with what they began from has 9.61 and 12.14, and was taken for the first of
+  these figures.
 - 64,970: 2,300 steps at 2e-4 with a fall of 1,750, on scenes with more environments,
-  metals and reliefs than `SceneConfig` draws (`--scenes.light-weights 0.2 0.38 0.24
-  0.09 0.09 --scenes.shape-weights 0.14 0.2 0.18 0.14 0.08 0.14 0.12
+  metals, machines and plates than `SceneConfig` draws (`--scenes.light-weights 0.2
+  0.38 0.24 0.09 0.09 --scenes.shape-weights 0.14 0.2 0.18 0.14 0.08 0.14 0.12
   --scenes.material-weights 0.1 0.09 0.09 0.08 0.08 0.2 0.12 0.06 0.1 0.08`): held-out
   scenes, drawn as ever, have 9.49 (9.50 as a mean likewise), and ps-wild-mini 12.0.
   What the other mixture gains apart from the steps was not measured.
