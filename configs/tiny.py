@@ -78,7 +78,7 @@ What changed on the way, by step; gains were measured apart only where one is gi
   figures, which flatters its own a little.
 - 69,970: 2,700 steps more, likewise: 9.43. The mean with what they began from has 9.37,
   as before, and ps-wild-mini 11.9, 12.0 before (better by 0.14, standard error 0.04
-  over its twelve objects): the mean was taken. From it, 600 steps at 1e-4 have 9.36.
+  over its twelve objects): the mean was taken. From it, 700 steps at 1e-4 have 9.36.
 - 72,670: images of 96 x 96 pixels for the encoder, 64 x 64 before, and windows of 6 x 6
   tokens, 4 x 4 before, so that a window covers as much of the object; the tables of
   relative positions were stretched linearly. Without a step of training that has 8.82
