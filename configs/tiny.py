@@ -85,8 +85,8 @@ What changed on the way, by step; gains were measured apart only where one is gi
   degrees on 32 scenes with 8 images, 9.12 before; sizes of 80 and 128, with windows of
   5 and 8, have 8.97 and 9.16. After 220 steps at 1.5e-4 with a fall of 190, on the same
   mixture with 2 images or 8, held-out scenes have 8.76, 9.37 before; with 1, 2 and 4
-  images 21.1, 16.2 and 11.3 (21.5, 16.8 and 11.8 before). The 18 sets of
-  `tools/table8.py` gained nothing: 8.16, 8.04 before. A step takes roughly twice as
+  images 21.1, 16.2 and 11.3 (21.5, 16.8 and 11.8 before), and ps-wild-mini 11.3, 11.9
+  before. The 18 sets of `tools/table8.py` gained nothing: 8.16, 8.04 before. A step takes roughly twice as
   long, so there are 1,500 below, 3,000 before.
 
 Short runs: Muon beats AdamW by about 3 degrees after 100 steps from the same start.
