@@ -86,8 +86,14 @@ What changed on the way, by step; gains were measured apart only where one is gi
   5 and 8, have 8.97 and 9.16. After 220 steps at 1.5e-4 with a fall of 190, on the same
   mixture with 2 images or 8, held-out scenes have 8.76, 9.37 before; with 1, 2 and 4
   images 21.1, 16.2 and 11.3 (21.5, 16.8 and 11.8 before), and ps-wild-mini 11.3, 11.9
-  before. The 18 sets of `tools/table8.py` gained nothing: 8.16, 8.04 before. A step takes roughly twice as
-  long, so there are 1,500 below, 3,000 before.
+  before. The 18 sets of `tools/table8.py` gained nothing: 8.16, 8.04 before. A step
+  takes roughly twice as long, so there are 1,500 below, 3,000 before.
+  Not shipped: 360 steps more at 2e-4 with a fall of 300, with still more environments
+  and metals (`--scenes.light-weights 0.12 0.48 0.28 0.06 0.06 --scenes.shape-weights
+  0.14 0.2 0.18 0.12 0.08 0.15 0.13 --scenes.material-weights 0.09 0.08 0.08 0.08 0.08
+  0.25 0.12 0.06 0.1 0.06`), have 8.82, and ps-wild-mini 11.4 (worse by 0.12,
+  standard error 0.12); held-out scenes in environments have 12.34, 12.15 before. The
+  mean with what they began from has 8.71 and 11.3: too little to ship.
 
 Short runs: Muon beats AdamW by about 3 degrees after 100 steps from the same start.
 Microbatches in a loop are slower than the whole batch. Twelve objects of half the
