@@ -20,7 +20,7 @@ import numpy as np
 
 from unips_jax.claims import claimed
 from unips_jax.command import InputError, command, make_folder, track
-from unips_jax.evaluation.store import code_hash
+from unips_jax.provenance import code_hash
 from unips_jax.ps_wild_files import (
     check_picture,
     write_folder,
@@ -37,7 +37,7 @@ from unips_jax.scenes import (
 
 _FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
 LIGHTINGS = ("directional", "environment", "mixed")
-_CODE = ("scenes", "render.py")  # what the folders' contents follow from
+_CODE = ("scenes", "render")  # what the folders' contents follow from
 _FOLDER_CONFIG = SceneConfig(
     linear_rate=1.0, eight_bit_rate=0.0, blur_rate=0.0, mask_error_rate=0.0
 )

@@ -25,7 +25,7 @@ from typeguard import TypeCheckError, check_type
 
 from unips_jax.baselines.method import Lights, Method
 from unips_jax.command import InputError
-from unips_jax.evaluation.store import code_hash
+from unips_jax.provenance import code_hash
 
 
 class Baseline(NamedTuple):
@@ -132,11 +132,6 @@ CLASSICAL = (
     *("hemisphere", "constant"),
 )
 """What `classical` stands for on the command line."""
-
-_UNIPS_CODE = (
-    *("models", "canonical.py", "estimation.py", "image_files.py", "ops.py"),
-    "streaming.py",
-)
 
 NAMES = ("unips", *BASELINES)
 
@@ -247,7 +242,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
         raise InputError(f"method {request!r}: {error}") from error
     key = {
         **{"method": name, "options": hashed, "oracle": oracle},
-        "method_code": code_hash("baselines"),
+        "method_code": code_hash(f"baselines.{baseline.module}"),
     }
     about = baseline.about
     if oracle:
@@ -365,7 +360,7 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
                     label + " uniform contexts" * uniform,
                     {
                         **{"method": "unips", "options": options, "weights": weights},
-                        "method_code": code_hash(*_UNIPS_CODE),
+                        "method_code": code_hash("streaming"),
                     },
                     run,
                     f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "

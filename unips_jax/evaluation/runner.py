@@ -22,13 +22,11 @@ from unips_jax.evaluation.benchmarks import Benchmark, Item
 from unips_jax.evaluation.methods import Variant
 from unips_jax.evaluation.protocols import Case, Protocol, choose_images, show
 from unips_jax.evaluation.scores import Score, best_signs, from_json, score
-from unips_jax.evaluation.store import Store, code_hash, result_key, slug
+from unips_jax.evaluation.store import Store, result_key, slug
+from unips_jax.provenance import code_hash
 
 _POLL_S = 0.2
-_CODE = (
-    *("evaluation/benchmarks", "evaluation/protocols.py", "evaluation/scores.py"),
-    *("exif.py", "image_files.py", "metrics.py", "photos.py"),
-)
+_CODE = ("evaluation.benchmarks", "evaluation.protocols", "evaluation.scores")
 
 
 class Plan(NamedTuple):

@@ -6,7 +6,6 @@ under the claim; see `claims`.
 """
 
 import contextlib
-import functools
 import hashlib
 import json
 import os
@@ -30,22 +29,6 @@ def result_key(fields: Mapping[str, Any]) -> str:
     """
     text = json.dumps(fields, sort_keys=True, default=repr)
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
-
-
-@functools.cache
-def code_hash(*places: str) -> str:
-    """A hash of source files, by which results of changed code are told apart.
-
-    Args:
-        places: files, or folders with the Python files in them, in the package.
-    """
-    package = Path(__file__).parents[1]
-    digest = hashlib.blake2b(digest_size=8)
-    for place in places:
-        path = package / place
-        for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def slug(text: str) -> str:

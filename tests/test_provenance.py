@@ -1,0 +1,57 @@
+import pytest
+
+from unips_jax import provenance
+from unips_jax.provenance import code_hash
+
+FILES = {
+    "__init__.py": "",
+    "a.py": "from pack.inner import b\n\n\ndef f():\n    import pack.lazy\n",
+    "lazy.py": "X = 1\n",
+    "other.py": "X = 1\n",
+    "inner/__init__.py": "",
+    "inner/b.py": "from pack.inner.c import g\n",
+    "inner/c.py": '"""Doc."""\n\n\ndef g():\n    """Doc."""\n    return 1\n',
+    "console.py": "X = 1\n",
+}
+
+
+@pytest.fixture
+def hash_with(tmp_path, monkeypatch):
+    """A function that hashes module `a` of a package with some files changed."""
+    monkeypatch.setattr(provenance, "_PACKAGE", tmp_path / "pack")
+    monkeypatch.setattr(provenance, "_NAME", "pack")
+    monkeypatch.setattr(provenance, "_SILENT", {"pack.console"})
+
+    def run(**changed):
+        for name, text in {**FILES, **changed}.items():
+            path = tmp_path / "pack" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        code_hash.cache_clear()
+        return code_hash("a")
+
+    yield run
+    code_hash.cache_clear()
+
+
+@pytest.mark.parametrize("name", ["a.py", "inner/b.py", "inner/c.py", "lazy.py"])
+def test_what_is_imported_counts(hash_with, name):
+    assert hash_with() != hash_with(**{name: FILES[name] + "Y = 2\n"})
+
+
+@pytest.mark.parametrize("name", ["other.py", "console.py"])
+def test_what_is_not_imported_or_only_read_does_not(hash_with, name):
+    changed = FILES["a.py"] + "from pack import console\n"
+    assert hash_with(**{"a.py": changed}) == hash_with(
+        **{"a.py": changed, name: FILES[name] + "Y = 2\n"}
+    )
+
+
+def test_comments_and_docstrings_do_not_count(hash_with):
+    text = '"""Other."""\n\n# Why.\ndef g():\n    """Other."""\n\n    return 1\n'
+    assert hash_with() == hash_with(**{"inner/c.py": text})
+
+
+def test_a_module_that_is_not_there_is_an_error():
+    with pytest.raises(FileNotFoundError):
+        code_hash("no_such_module")

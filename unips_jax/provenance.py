@@ -1,0 +1,75 @@
+"""Which code made a result: so that results of changed code are told apart."""
+
+import ast
+import functools
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+_PACKAGE = Path(__file__).parent
+_NAME = __package__
+# What users read while results are computed does not change them.
+_SILENT = {f"{_NAME}.errors", f"{_NAME}.console"}
+
+
+@functools.cache
+def code_hash(*modules: str) -> str:
+    """A hash of modules and of all that they import of this package.
+
+    What is hashed is the syntax without docstrings: comments and layout do not count.
+    Imports are followed wherever they stand, also those inside functions; data files
+    are not.
+
+    Args:
+        modules: their names in the package, such as "evaluation.scores".
+
+    Raises:
+        FileNotFoundError: if there is no such module.
+    """
+    digest = hashlib.blake2b(digest_size=8)
+    for name in sorted(_reached(f"{_NAME}.{module}" for module in modules)):
+        tree = _without_docstrings(ast.parse(_file(name).read_bytes()))
+        digest.update(f"{name}\n{ast.dump(tree)}\n".encode())
+    return digest.hexdigest()
+
+
+def _reached(names: Iterator[str]) -> set[str]:
+    """The modules, and what they import of the package, directly or not."""
+    reached: set[str] = set()
+    left = list(names)
+    while left:
+        name = left.pop()
+        if name not in reached and name not in _SILENT:
+            reached.add(name)
+            left.extend(_imports(name))
+    return reached
+
+
+def _imports(name: str) -> Iterator[str]:
+    """Modules of the package that a module imports (absolutely, as ours all do)."""
+    for node in ast.walk(ast.parse(_file(name).read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (x.name for x in node.names if _is_ours(x.name))
+        elif isinstance(node, ast.ImportFrom) and _is_ours(node.module or ""):
+            for alias in node.names:
+                # A name is a module of the package, or something in the package.
+                inner = f"{node.module}.{alias.name}"
+                yield inner if _file(inner).is_file() else str(node.module)
+
+
+def _is_ours(name: str) -> bool:
+    return name == _NAME or name.startswith(f"{_NAME}.")
+
+
+def _file(name: str) -> Path:
+    """A module's file; of a package, its `__init__.py`."""
+    path = _PACKAGE.joinpath(*name.split(".")[1:])
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+
+
+def _without_docstrings(tree: ast.Module) -> ast.Module:
+    for node in ast.walk(tree):
+        documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+        if isinstance(node, documented) and ast.get_docstring(node, clean=False):
+            node.body = node.body[1:]
+    return tree
