@@ -8,13 +8,8 @@ gain at this size was not measured. Not trained yet: no GPU was at hand; twenty 
 with smaller batches, were seen to run on two CPU cores.
 """
 
-from unips_jax.config import (
-    Config,
-    DataConfig,
-    ModelConfig,
-    OptimConfig,
-    TrainConfig,
-)
+from unips_jax.config import ModelConfig
+from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 
 
 def get_config() -> Config:

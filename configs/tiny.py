@@ -111,13 +111,8 @@ products in bfloat16 are 1.4 to 1.9 times as fast; a step whose linear layers us
 takes 4 % less: the rest converts, and turns matrices for the kernels' gradients.
 """
 
-from unips_jax.config import (
-    Config,
-    DataConfig,
-    ModelConfig,
-    OptimConfig,
-    TrainConfig,
-)
+from unips_jax.config import ModelConfig
+from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 
 
 def get_config() -> Config:

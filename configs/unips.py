@@ -6,7 +6,8 @@ runs/unips --data.root PS-Wild`. Hardware of the paper: one Quadro RTX 8000, 48 
 Not trained here: neither that data set nor that time were at hand.
 """
 
-from unips_jax.config import Config, ModelConfig
+from unips_jax.config import ModelConfig
+from unips_jax.training.config import Config
 
 
 def get_config() -> Config:

@@ -12,10 +12,19 @@ import jax
 import numpy as np
 import pytest
 
-from unips_jax.baselines import calibrated, gcnet, gcnet_lights, gcnet_weights
-from unips_jax.baselines import gcnet_model as model
+from unips_jax.baselines import calibrated
+from unips_jax.baselines.gcnet import (
+    lights as gcnet_lights,
+)
+from unips_jax.baselines.gcnet import (
+    methods as gcnet,
+)
+from unips_jax.baselines.gcnet import model
+from unips_jax.baselines.gcnet import (
+    weights as gcnet_weights,
+)
 from unips_jax.baselines.method import Lights, Unsupported
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 
 soft_lights = jax.jit(gcnet_lights.soft_lights)
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import ortho_group
 
-from unips_jax.baselines import mpm_merge, mpm_patches
 from unips_jax.baselines.method import Unsupported
-from unips_jax.baselines.mpm import estimate_mpm as estimate_full
-from unips_jax.baselines.mpm import mpm as mpm_full
-from unips_jax.baselines.mpm_frame import cube_symmetries, frame_by_integrability
+from unips_jax.baselines.mpm import merge as mpm_merge
+from unips_jax.baselines.mpm import patches as mpm_patches
+from unips_jax.baselines.mpm.frame import cube_symmetries, frame_by_integrability
+from unips_jax.baselines.mpm.method import estimate_mpm as estimate_full
+from unips_jax.baselines.mpm.method import mpm as mpm_full
 from unips_jax.evaluation.scores import best_signs
 from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
 

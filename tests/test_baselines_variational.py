@@ -7,18 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from unips_jax.baselines import variational as module
-from unips_jax.baselines import variational_descent as descent
-from unips_jax.baselines import variational_grid as grid
-from unips_jax.baselines import variational_model as model
+from unips_jax.baselines import grid
 from unips_jax.baselines.balloon import balloon, hemisphere
 from unips_jax.baselines.method import Unsupported
-from unips_jax.baselines.variational import (
+from unips_jax.baselines.variational import descent, model
+from unips_jax.baselines.variational import method as module
+from unips_jax.baselines.variational.method import (
     initial_depth,
     make_problem,
     variational,
 )
-from unips_jax.baselines.variational_model import Energy
+from unips_jax.baselines.variational.model import Energy
 from unips_jax.metrics import mean_angular_error_deg
 
 

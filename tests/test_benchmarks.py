@@ -6,7 +6,7 @@ import OpenEXR
 import pytest
 from scipy.io import loadmat, savemat
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import open_benchmark, submission_bytes
 from unips_jax.evaluation.benchmarks.images import is_photograph
 from unips_jax.evaluation.benchmarks.luces import read_leds

@@ -10,10 +10,12 @@ import pytest
 from test_exif import png_with_orientation, tiff_with_orientation, with_orientation
 from test_photos import HEIGHT, WIDTH, save, smooth
 
-from unips_jax import cli, estimate, streaming
-from unips_jax.command import InputError
+from unips_jax.cli import estimate
+from unips_jax.cli import main as cli
+from unips_jax.errors import InputError
+from unips_jax.estimation import streaming
 from unips_jax.evaluation.benchmarks import open_benchmark
-from unips_jax.image_files import as_linear
+from unips_jax.io.color import as_linear
 
 
 @pytest.mark.parametrize("mask", [True, False])

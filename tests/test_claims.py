@@ -6,11 +6,11 @@ import os
 import numpy as np
 import pytest
 
-from unips_jax import claims
-from unips_jax.baselines.gcnet_weights import save_params
-from unips_jax.command import InputError
+from unips_jax.baselines.gcnet.weights import save_params
 from unips_jax.config import ModelConfig
+from unips_jax.errors import InputError
 from unips_jax.evaluation.store import Store
+from unips_jax.io import claims
 from unips_jax.weights import save_weights
 
 PARAMS = {"a": {"kernel": np.zeros(3, np.float32)}}

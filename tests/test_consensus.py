@@ -9,9 +9,9 @@ import numpy as np
 from flax.traverse_util import flatten_dict
 from small_networks import SMALL, lively_weights
 
-from unips_jax import losses
 from unips_jax.models.consensus import Guesses
 from unips_jax.models.unips import UniPS
+from unips_jax.training import loss as losses
 from unips_jax.weights import init_params
 
 CONFIG = dataclasses.replace(SMALL, consensus_blocks=2, consensus_dim=32)

@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 import pytest
 
-from unips_jax import render
-from unips_jax.claims import claim
+from unips_jax.cli import render
 from unips_jax.cycles import assets, blender_process, lighting, run
 from unips_jax.cycles.blender import framing
 from unips_jax.cycles.environments import draw_environment, mean_radiance
-from unips_jax.data.sources import PSWildFolders
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest, PSWildTrain
+from unips_jax.io.claims import claim
+from unips_jax.io.ps_wild_objects import PSWildFolders
 
 # Answers like blender/worker.py with a sphere; misbehaves for some shapes.
 STAND_IN = """
@@ -210,7 +210,10 @@ def test_a_bad_environment_costs_one_lighting(stand_in, tmp_path, capsys):
 
 def test_killed_runs_go_on_and_end_with_the_same_bytes(stand_in, tmp_path):
     arguments = ["--objects", "3", "--images", "4", "--size", "24"]
-    command = [*("-m", "unips_jax.cli", "render", "--engine", "cycles"), *arguments]
+    command = [
+        *("-m", "unips_jax.cli.main", "render", "--engine", "cycles"),
+        *arguments,
+    ]
     assert render.main([*command[3:], "-o", str(tmp_path / "whole")]) == 0
     slow = {**os.environ, "SLOW": "0.1"}
     out = tmp_path / "killed"

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from unips_jax.command import InputError
 from unips_jax.cycles import assets
+from unips_jax.errors import InputError
 
 
 def test_objects_do_not_depend_on_the_rest_of_the_set():

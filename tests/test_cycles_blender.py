@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from unips_jax import render
-from unips_jax.command import InputError
+from unips_jax.cli import render
 from unips_jax.cycles import assets, run
 from unips_jax.cycles.blender_process import Blender, BlenderError, find_python
 from unips_jax.cycles.environments import HEIGHT, WIDTH
+from unips_jax.errors import InputError
 from unips_jax.scenes.materials import Surface, reflectance
 
 SIZE = 64
@@ -421,7 +421,7 @@ def test_killed_and_started_again_it_ends_with_the_same_bytes(blender, tmp_path)
     command = ["render", "--engine", "cycles", *arguments, "--seed", "3"]
     assert render.main([*command[1:], "-o", str(tmp_path / "whole")]) == 0
     out = tmp_path / "killed"
-    start = [sys.executable, "-m", "unips_jax.cli", *command, "-o", str(out)]
+    start = [sys.executable, "-m", "unips_jax.cli.main", *command, "-o", str(out)]
     process = subprocess.Popen(start, start_new_session=True)
     while not list(out.glob("*/*.data")):
         assert process.poll() is None

@@ -10,8 +10,8 @@ import pytest
 from evaluation_data import encode16, to16, write_image
 from training_runs import write_objects
 
-from unips_jax.data import pipeline
-from unips_jax.data.sources import PSWildFolders, read_object
+from unips_jax.io.ps_wild_objects import PSWildFolders, read_object
+from unips_jax.training import folders
 
 OPTIONS = {"size": 16, "batch_size": 4, "num_images": (2, 3), "seed": 5}
 
@@ -22,7 +22,7 @@ def root(tmp_path_factory):
 
 
 def read(root, count, **options):
-    batches = pipeline.folder_batches(root, **{**OPTIONS, "first": 0, **options})
+    batches = folders.folder_batches(root, **{**OPTIONS, "first": 0, **options})
     return list(itertools.islice(batches, count))
 
 
@@ -72,9 +72,9 @@ def test_few_batches_are_read_ahead(root, monkeypatch):
         sizes.append(size)
         return original(files, chosen, size)
 
-    original = pipeline.read_object
-    monkeypatch.setattr(pipeline, "read_object", counted)
-    batches = pipeline.folder_batches(root, **{**OPTIONS, "size": 8}, first=0)
+    original = folders.read_object
+    monkeypatch.setattr(folders, "read_object", counted)
+    batches = folders.folder_batches(root, **{**OPTIONS, "size": 8}, first=0)
     next(batches)
     time.sleep(0.3)
     # Threads of other tests may still be reading, at another size.

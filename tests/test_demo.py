@@ -6,8 +6,10 @@ import re
 import cv2
 import numpy as np
 
-from unips_jax import demo, streaming, weights
+from unips_jax import weights
+from unips_jax.cli import demo
 from unips_jax.config import ModelConfig
+from unips_jax.estimation import streaming
 
 FOLDER = demo.SAMPLE / "obj000.data"
 

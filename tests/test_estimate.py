@@ -9,9 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from unips_jax import cli, estimate, streaming, weights
+from unips_jax import weights
+from unips_jax.cli import estimate
+from unips_jax.cli import main as cli
 from unips_jax.config import ModelConfig
-from unips_jax.photos import select
+from unips_jax.estimation import streaming
+from unips_jax.io.photographs import select
 
 HEIGHT, WIDTH = 60, 80
 EXAMPLES = 6
@@ -366,6 +369,6 @@ def test_results_never_go_among_the_photographs(folder, tmp_path, calls, capsys)
 
 
 def test_module_runs_as_a_program():
-    program = [sys.executable, "-m", "unips_jax.estimate", "--help"]
+    program = [sys.executable, "-m", "unips_jax.cli.estimate", "--help"]
     shown = subprocess.run(program, capture_output=True, text=True, check=True)
     assert "--normal-map" in shown.stdout

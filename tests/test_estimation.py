@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from small_networks import SMALL, lively_weights, with_dtype
 
-from unips_jax import estimate_normals, estimation
-from unips_jax.canonical import canonical_images, square_frame
+from unips_jax import estimate_normals
+from unips_jax.estimation import pure
+from unips_jax.estimation.frame import canonical_images, square_frame
+from unips_jax.estimation.streaming import estimate_photographs
+from unips_jax.models.ops import normalize
 from unips_jax.models.unips import UniPS
-from unips_jax.ops import normalize
-from unips_jax.streaming import estimate_photographs
 
 
 @pytest.fixture(scope="module")
@@ -49,15 +50,15 @@ def test_light_outside_the_mask_does_not_matter(params):
 
 def test_chunked_equals_whole(params, monkeypatch):
     images, mask = photographs(n=5)
-    monkeypatch.setattr(estimation, "CHUNK_TOKENS", 10**6)
-    monkeypatch.setattr(estimation, "CHUNK_IMAGES", 10)
-    estimation._estimate_normals.clear_cache()
+    monkeypatch.setattr(pure, "CHUNK_TOKENS", 10**6)
+    monkeypatch.setattr(pure, "CHUNK_IMAGES", 10)
+    pure._estimate_normals.clear_cache()
     whole = estimate_normals(params, images, mask, config=SMALL)
-    monkeypatch.setattr(estimation, "CHUNK_TOKENS", 70)
-    monkeypatch.setattr(estimation, "CHUNK_IMAGES", 2)
-    estimation._estimate_normals.clear_cache()
+    monkeypatch.setattr(pure, "CHUNK_TOKENS", 70)
+    monkeypatch.setattr(pure, "CHUNK_IMAGES", 2)
+    pure._estimate_normals.clear_cache()
     chunked = estimate_normals(params, images, mask, config=SMALL)
-    estimation._estimate_normals.clear_cache()
+    pure._estimate_normals.clear_cache()
     np.testing.assert_allclose(chunked, whole, atol=1e-5)
 
 
@@ -78,12 +79,12 @@ def test_encoding_in_pieces_is_the_encoder(monkeypatch, changes):
     params = lively_weights(config)
     images = jax.random.uniform(jax.random.key(1), (5, 16, 16, 4))
     valid = jnp.array([True, True, False, True, True])
-    monkeypatch.setattr(estimation, "CHUNK_TOKENS", 30)
+    monkeypatch.setattr(pure, "CHUNK_TOKENS", 30)
 
     @jax.jit
     def both(params, images, valid):
         encoder = UniPS(config).bind({"params": params}).encoder
-        pieces = estimation.encode(params, images, valid, config=config)
+        pieces = pure.encode(params, images, valid, config=config)
         return pieces, encoder(images, valid)
 
     np.testing.assert_allclose(*both(params, images, valid), rtol=1e-4, atol=1e-4)
@@ -272,7 +273,7 @@ def test_loops_never_hold_whole_images(params, mirror):
         for variable in (*equation.invars, *equation.outvars)
     ]
     whole = images.size
-    assert estimation.CHUNK_TOKENS < max(sizes) < whole / 2
+    assert pure.CHUNK_TOKENS < max(sizes) < whole / 2
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -291,12 +292,12 @@ def test_values_that_are_not_finite_show(params, value):
 
 
 def test_compiles_once_per_shape(params):
-    estimation._estimate_normals.clear_cache()
+    pure._estimate_normals.clear_cache()
     for seed in range(3):
         images, mask = photographs()
         mask = mask & (np.random.default_rng(seed).random(mask.shape) < 0.8)
         estimate_normals(params, images * (1 + seed), mask, config=SMALL)
-    assert estimation._estimate_normals._cache_size() == 1
+    assert pure._estimate_normals._cache_size() == 1
 
 
 @pytest.mark.parametrize(

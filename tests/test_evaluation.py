@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from unips_jax import eval as evaluation
 from unips_jax.baselines.method import Estimated, Unsupported
+from unips_jax.cli import eval as evaluation
 from unips_jax.evaluation import methods, protocols, publish, runner, summary
 from unips_jax.evaluation.benchmarks import open_benchmark
 from unips_jax.evaluation.methods import Variant

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from unips_jax import eval as evaluation
-from unips_jax.command import InputError
-from unips_jax.evaluation import pictures
+from unips_jax.cli import eval as evaluation
+from unips_jax.errors import InputError
 from unips_jax.evaluation.protocols import Case
 from unips_jax.evaluation.sheets import Panel, sheet
 from unips_jax.evaluation.store import Store
+from unips_jax.pictures import maps
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 
@@ -188,21 +188,21 @@ def test_pictures_are_white_outside_and_exact_inside():
     normals = np.array([[[1.0, 0, -1], [-0.6, 0.8, 0], [0, -1, 0], [0, 0, 1]]])
     white = [255, 255, 255]
     np.testing.assert_array_equal(
-        pictures.normals_picture(normals, mask),
+        maps.normals_picture(normals, mask),
         [[[255, 128, 0], [51, 230, 128], [128, 0, 128], white]],
     )
     # Inferno from nothing over half the scale to 80 degrees, where it is clipped.
-    errors = pictures.error_picture(np.array([[0.0, 40, 80, 40]]), mask)
+    errors = maps.error_picture(np.array([[0.0, 40, 80, 40]]), mask)
     np.testing.assert_array_equal(
         errors, [[[0, 0, 4], [188, 55, 84], [252, 255, 164], white]]
     )
-    clipped = pictures.error_picture(np.array([[170.0, 0, 0, 0]]), mask)
+    clipped = maps.error_picture(np.array([[170.0, 0, 0, 0]]), mask)
     np.testing.assert_array_equal(clipped[0, 0], errors[0, 2])
     black = np.zeros((1, 4, 3), np.float32)
-    np.testing.assert_array_equal(pictures.photograph_picture(black, mask)[0, 0], 0)
+    np.testing.assert_array_equal(maps.photograph_picture(black, mask)[0, 0], 0)
     # Half of white is 188 in sRGB (IEC 61966-2-1); what lies outside has no say.
     image = np.array([[[8, 4, 0], [8, 8, 8], [8, 0, 0], [99, 99, 99]]], np.float32)
     np.testing.assert_array_equal(
-        pictures.photograph_picture(image, mask),
+        maps.photograph_picture(image, mask),
         [[[255, 188, 0], white, [255, 0, 0], white]],
     )

@@ -1,19 +1,17 @@
 """Protocols, scores and methods."""
 
-import ast
 import json
 import tracemalloc
-from pathlib import Path
 
 import evaluation_data as data
 import numpy as np
 import pytest
 
-from unips_jax import streaming
-from unips_jax.baselines.gcnet_weights import save_params
+from unips_jax.baselines.gcnet.weights import save_params
 from unips_jax.baselines.method import Lights
-from unips_jax.command import InputError
-from unips_jax.evaluation import methods, protocols
+from unips_jax.errors import InputError
+from unips_jax.estimation import streaming
+from unips_jax.evaluation import protocols
 from unips_jax.evaluation.benchmarks import Item
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.protocols import Box, Protocol
@@ -288,34 +286,6 @@ def test_unips_variants_get_their_own_settings(tmp_path, monkeypatch):
     }
     keys = {json.dumps(variant.key, sort_keys=True) for variant in variants}
     assert len(keys) == 5
-
-
-PACKAGE = Path(methods.__file__).parents[1]
-
-
-def imported(module):
-    """The files of the package that a file of it imports, itself and theirs among."""
-    found, left = set(), [module]
-    while left:
-        if (file := left.pop()) in found:
-            continue
-        found.add(file)
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            module = getattr(node, "module", None) or ""
-            if isinstance(node, ast.ImportFrom) and module.startswith("unips_jax"):
-                names = [module, *(f"{module}.{a.name}" for a in node.names)]
-                paths = (PACKAGE.parent / f"{n.replace('.', '/')}.py" for n in names)
-                left += [path for path in paths if path.is_file()]
-    return {path.relative_to(PACKAGE).as_posix() for path in found}
-
-
-def test_changed_code_of_unips_is_another_method():
-    used = imported(PACKAGE / "streaming.py")
-    assert {"streaming.py", "models/unips.py", "models/upernet.py"} <= used
-    # Settings are part of the weights' hash; the others change no pixel.
-    used -= {"config.py", "scenes/config.py", "checks.py", "command.py", "exif.py"}
-    covered = {path for path in used if path.split("/")[0] in methods._UNIPS_CODE}
-    assert used == covered
 
 
 def test_weights_are_known_by_their_contents(tmp_path):

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from test_photos import HEIGHT, WIDTH, save, smooth
 
-from unips_jax.command import InputError
-from unips_jax.exif import exif_orientation
-from unips_jax.image_files import read_image, read_opacity
-from unips_jax.official_reader import read_official
-from unips_jax.photos import read_photographs, select
+from unips_jax.errors import InputError
+from unips_jax.io.exif import exif_orientation
+from unips_jax.io.images import read_image, read_opacity
+from unips_jax.io.official import read_official
+from unips_jax.io.photographs import read_photographs, select
 
 
 def exif(orientation):

@@ -19,11 +19,11 @@ def test_import_needs_no_fcntl():
     code = """
 import importlib, pathlib, sys
 sys.modules["fcntl"] = None
-from unips_jax.cli import COMMANDS
-from unips_jax.claims import claim
-from unips_jax.command import InputError
-for name in COMMANDS:
-    importlib.import_module(f"unips_jax.{name}")
+from unips_jax.cli.main import COMMANDS
+from unips_jax.io.claims import claim
+from unips_jax.errors import InputError
+for module, _ in COMMANDS.values():
+    importlib.import_module(f"unips_jax.{module}")
 try:
     with claim(pathlib.Path("lock")):
         raise AssertionError("claimed without flock")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_networks import SMALL, lively_weights
 
-from unips_jax import losses
+from unips_jax.training import loss as losses
 
 ONE_STAGE = dataclasses.replace(SMALL, depths=(1,), num_heads=(2,), pool_scales=(1,))
 

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 
-from unips_jax import estimate_normals, ops
-from unips_jax.losses import training_loss
+from unips_jax import estimate_normals
 from unips_jax.metrics import angular_error_deg
+from unips_jax.models import ops
 from unips_jax.models.unips import UniPS
+from unips_jax.training.loss import training_loss
 from unips_jax.weights import from_official, official_name
 
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from unips_jax import ops
 from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
+from unips_jax.models import ops
 
 
 def test_window_round_trip():

@@ -8,9 +8,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from unips_jax.command import InputError
-from unips_jax.image_files import SUFFIXES, read_image
-from unips_jax.photos import is_map, read_mask, read_photographs, select
+from unips_jax.errors import InputError
+from unips_jax.io.images import SUFFIXES, read_image
+from unips_jax.io.photographs import is_map, read_mask, read_photographs, select
 
 HEIGHT, WIDTH = 23, 37
 

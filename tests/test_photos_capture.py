@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from unips_jax.capture import capture_warnings
+from unips_jax.io.advice import capture_warnings
 
 
 def sphere_images(count=8, dtype=np.uint8, size=96):

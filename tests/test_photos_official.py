@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from unips_jax.official_reader import official_crop, read_official
-from unips_jax.photos import select
+from unips_jax.io.official import official_crop, read_official
+from unips_jax.io.photographs import select
 
 
 @pytest.mark.parametrize(

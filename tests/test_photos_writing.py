@@ -8,15 +8,16 @@ import OpenEXR
 import pytest
 import scipy.io
 
-from unips_jax.command import InputError
-from unips_jax.contact_sheet import shade, srgb_encode, write_sheet
-from unips_jax.normal_files import (
+from unips_jax.errors import InputError
+from unips_jax.io.color import srgb_encode
+from unips_jax.io.normals import (
     appearing_at_once,
     check_target,
     encode_normals,
     write_normals,
     write_record,
 )
+from unips_jax.pictures.estimate_sheet import shade, write_sheet
 
 
 @pytest.fixture

@@ -55,3 +55,9 @@ def test_comments_and_docstrings_do_not_count(hash_with):
 def test_a_module_that_is_not_there_is_an_error():
     with pytest.raises(FileNotFoundError):
         code_hash("no_such_module")
+
+
+def test_the_code_of_an_estimate_is_followed_into_all_rooms():
+    reached = provenance._reached(["unips_jax.estimation.streaming"])
+    wanted = {"models.unips", "models.upernet", "models.ops", "io.color"}
+    assert {f"unips_jax.{name}" for name in wanted} <= reached

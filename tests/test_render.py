@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from unips_jax import render
-from unips_jax.claims import claim
-from unips_jax.ps_wild_files import write_folder
-from unips_jax.scenes import Scene
+from unips_jax.cli import render
+from unips_jax.io.claims import claim
+from unips_jax.io.ps_wild import write_folder
+from unips_jax.scenes import Scene, folders
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def _read(path):
 
 def test_a_folder_holds_what_was_drawn(tmp_path, scene):
     folder = tmp_path / "directional" / "obj000.data"
-    write(folder, scene, {"seed": 3, **render.describe(scene)})
+    write(folder, scene, {"seed": 3, **folders.describe(scene)})
     names = sorted(path.name for path in folder.iterdir())
     assert names == ["L_00.png", "L_01.png", "mask.png", "meta.json", "normal.tif"]
     image = _read(folder / "L_01.png")[..., ::-1]
@@ -66,9 +66,9 @@ def test_a_folder_holds_what_was_drawn(tmp_path, scene):
 
 
 def test_focal_lengths_are_told_in_pixels_too(scene):
-    facts = render.describe(scene._replace(focal=np.float32(18)))
+    facts = folders.describe(scene._replace(focal=np.float32(18)))
     assert facts["focal_mm"] == 18 and facts["focal"] == 6  # of 12 pixels' width
-    assert "focal" not in render.describe(scene)
+    assert "focal" not in folders.describe(scene)
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path, scene):
@@ -80,7 +80,7 @@ def test_a_failure_leaves_nothing_behind(tmp_path, scene):
 def test_the_sheet_has_a_tile_per_scene(scene):
     many = Scene(*(np.stack([leaf] * 4) for leaf in scene))
     many = many._replace(images=np.stack([scene.images[[0, 1, 1]]] * 4))
-    sheet = render.contact_sheet(many, columns=2)
+    sheet = folders.contact_sheet(many, columns=2)
     assert sheet.shape == (2 * (16 + 4), 2 * (24 + 4), 3) and sheet.dtype == np.uint8
 
 
@@ -113,7 +113,7 @@ def test_engines_are_not_abbreviated(tmp_path, capsys):
 def _stand_in(monkeypatch, scene):
     """Renders the scene, always the same."""
     batch = Scene(*(np.asarray(leaf)[None] for leaf in scene))
-    monkeypatch.setattr(render, "render_batch", lambda *_, **__: batch)
+    monkeypatch.setattr(folders, "render_batch", lambda *_, **__: batch)
 
 
 def test_trees_are_kept_unless_of_other_code(monkeypatch, tmp_path, capsys, scene):
@@ -121,11 +121,11 @@ def test_trees_are_kept_unless_of_other_code(monkeypatch, tmp_path, capsys, scen
     arguments = ["-o", str(tmp_path), "--objects", "1", "--images", "2"]
     totals = []
     monkeypatch.setattr(
-        render, "track", lambda items, _, *, total: totals.append(total) or items
+        folders, "track", lambda items, _, *, total: totals.append(total) or items
     )
     assert render.main(arguments) == 0 and render.main(arguments) == 0
     assert totals == [3, 0]  # what is there does not count as progress
-    monkeypatch.setattr(render, "code_hash", lambda *_: "other")
+    monkeypatch.setattr(folders, "code_hash", lambda *_: "other")
     assert render.main(arguments) == 2
     assert "expected scenes of this version" in capsys.readouterr().err
     (tmp_path / "directional" / "obj000.data" / "meta.json").unlink()
@@ -161,7 +161,7 @@ def test_trees_are_reproducible_and_kept(tmp_path, capsys):
         assert path.read_bytes() == twin.read_bytes()
     masks = {
         (tmp_path / "a" / name / "obj000.data" / "mask.png").read_bytes()
-        for name in render.LIGHTINGS
+        for name in folders.LIGHTINGS
     }
     assert len(masks) == 1
     stamp = first[0].stat().st_mtime_ns

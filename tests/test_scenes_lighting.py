@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from known_objects import look, make_shape
 
-from unips_jax.render import describe
 from unips_jax.scenes import SceneConfig, grids, lights, materials, shading
 from unips_jax.scenes import render as scenes_render
+from unips_jax.scenes.folders import describe
 
 
 @pytest.fixture(scope="module")

@@ -15,12 +15,7 @@ from test_baselines_gcnet import made_up
 from test_official_parity import official_arrays
 
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
-from unips_jax.weights import (
-    load_weights,
-    random_weights,
-    save_weights,
-    weights_record,
-)
+from unips_jax.weights import load_weights, random_weights, save_weights, weights_record
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 
@@ -195,7 +190,7 @@ def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys)
 
 @pytest.mark.slow
 def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
-    from unips_jax.baselines.gcnet import gcnet
+    from unips_jax.baselines.gcnet.methods import gcnet
 
     monkeypatch.syspath_prepend(TOOLS)
     tool = runpy.run_path(str(TOOLS / "train_gcnet.py"))

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from training_runs import CONFIG, DATA, batch
 
-from unips_jax.config import DataConfig, OptimConfig
-from unips_jax.optim import make_optimizer, make_schedule
-from unips_jax.train_state import new_state
-from unips_jax.train_step import _accumulate, _untrained, augment, train_step
+from unips_jax.training.config import DataConfig, OptimConfig
+from unips_jax.training.optimizer import make_optimizer, make_schedule
+from unips_jax.training.state import new_state
+from unips_jax.training.step import _accumulate, _untrained, augment, train_step
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_augmented_normals_stay_those_of_the_surface():
 
 
 def test_nonfinite_loss_saves_the_batch(tmp_path, monkeypatch):
-    from unips_jax import train as module
+    from unips_jax.training import loop as module
 
     def broken(config, *_):
         while True:
@@ -196,7 +196,7 @@ only_glibc = pytest.mark.skipif(
 FAULTS = """
 import resource, sys
 import jax, jax.numpy as jnp
-from unips_jax.compilation import keep_freed_memory
+from unips_jax.training.compilation import keep_freed_memory
 
 if sys.argv[1] == "keep":
     keep_freed_memory()
@@ -221,7 +221,7 @@ def test_kept_memory_is_not_asked_for_again():
 HOLES = """
 import ctypes, os, random
 from pathlib import Path
-from unips_jax.compilation import keep_freed_memory, settle_memory
+from unips_jax.training.compilation import keep_freed_memory, settle_memory
 
 keep_freed_memory()
 library = ctypes.CDLL(None)

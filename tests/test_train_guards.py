@@ -12,19 +12,20 @@ import jax
 import numpy as np
 import pytest
 
-from unips_jax import train
-from unips_jax.checkpoint import Checkpoints, changed_fields
-from unips_jax.command import InputError
-from unips_jax.config import Config, DataConfig, MeshConfig, to_json
-from unips_jax.sharding import make_mesh, replicated
+from unips_jax.config import to_json
+from unips_jax.errors import InputError
 from unips_jax.train import load_config, main
-from unips_jax.train_guards import (
+from unips_jax.training import loop
+from unips_jax.training.checkpoints import Checkpoints, changed_fields
+from unips_jax.training.config import Config, DataConfig, MeshConfig
+from unips_jax.training.guards import (
     alone_in,
     check_finite,
     check_input,
     stop_on_sigterm,
 )
-from unips_jax.train_log import TrainLog
+from unips_jax.training.log import TrainLog
+from unips_jax.training.sharding import make_mesh, replicated
 
 CONFIG = Config(data=DataConfig(source="mixture", root="a", batch_size=8))
 MESH = make_mesh(MeshConfig(data=1))
@@ -93,7 +94,7 @@ def test_bad_input_is_named(tmp_path):
         check_input(CONFIG, SimpleNamespace(size=3))
     scenes = dataclasses.replace(CONFIG.data, source="scenes")
     with pytest.raises(InputError, match="--workdir .*file: cannot be a folder"):
-        train.train(dataclasses.replace(CONFIG, data=scenes), file)
+        loop.train(dataclasses.replace(CONFIG, data=scenes), file)
     too_many = MeshConfig(fsdp=2 * jax.device_count())
     with pytest.raises(InputError, match=r"--mesh\.fsdp"):
         make_mesh(too_many)
@@ -147,7 +148,7 @@ def test_tensorboard_drops_the_steps_that_come_again(tmp_path, monkeypatch):
 def test_a_bad_configuration_file_is_named(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(
-        "from unips_jax.config import Config, DataConfig\n"
+        "from unips_jax.training.config import Config, DataConfig\n"
         "def get_config():\n    return Config(data=DataConfig(batch_size=0))\n"
     )
     with pytest.raises(InputError, match=r"mine\.py: batch_size: expected a positive"):
@@ -188,15 +189,15 @@ def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
     log = SimpleNamespace(metrics=lambda *_: None, shows_pictures=False)
     written, record = [], {"best_mae_deg": None}
     monkeypatch.setattr(
-        train, "_write_weights", lambda path, *a: written.append((path.name, *a[2:]))
+        loop, "_write_weights", lambda path, *a: written.append((path.name, *a[2:]))
     )
 
     def run(config, *rounds):
         nonlocal record
         for state.step, error in rounds:
             scores = {"mae": error, "constant": 50 - error}
-            monkeypatch.setattr(train, "validate", lambda *_, found=scores, **__: found)
-            record = train._validate_and_keep_best(config, state, record, tmp_path, log)
+            monkeypatch.setattr(loop, "validate", lambda *_, found=scores, **__: found)
+            record = loop._validate_and_keep_best(config, state, record, tmp_path, log)
 
     run(CONFIG, (4, np.nan), (5, 30.0), (6, 40.0), (7, 20.0), (8, 20.0), (9, np.nan))
     on = [CONFIG.train.validation_scenes, CONFIG.train.validation_images]

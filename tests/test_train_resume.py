@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from training_runs import CONFIG, DATA, final_params, finish, start, write_objects
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_sigterm_saves(uninterrupted, tmp_path):
 
 @pytest.mark.slow
 def test_starts_from_weights(uninterrupted, tmp_path):
-    from unips_jax.train import train
+    from unips_jax.training.loop import train
 
     config, whole = uninterrupted
     rate, optim = 1e-3, dataclasses.replace(config.optim, learning_rate=1e-3)
@@ -106,7 +106,7 @@ def test_starts_from_weights(uninterrupted, tmp_path):
 
 
 def test_other_configuration_is_refused(uninterrupted):
-    from unips_jax.train import train
+    from unips_jax.training.loop import train
 
     config, workdir = uninterrupted
     optim = dataclasses.replace(config.optim, learning_rate=1e-3)

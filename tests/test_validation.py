@@ -8,11 +8,12 @@ import pytest
 from evaluation_data import tilted
 from small_networks import SMALL, lively_weights
 
-from unips_jax import validation
-from unips_jax.config import Config, DataConfig, TrainConfig
+from unips_jax.cli import validate as command
 from unips_jax.scenes import Scene, SceneConfig
-from unips_jax.train_log import TrainLog
-from unips_jax.validation import validate, validation_pictures
+from unips_jax.training import validation
+from unips_jax.training.config import Config, DataConfig, TrainConfig
+from unips_jax.training.log import TrainLog
+from unips_jax.training.validation import validate, validation_pictures
 from unips_jax.weights import save_weights
 
 CONFIG = Config(
@@ -100,7 +101,7 @@ def test_all_scenes_of_one_kind(tmp_path, capsys):
     save_weights(weights, CONFIG.model, lively_weights(CONFIG.model))
     sizes = ["--scenes", "3", "--images", "2", "--size", "32"]
     kinds = ["--light", "point", "--material", "dark", "--shape", "relief"]
-    assert validation.main(["--weights", weights, *sizes, *kinds]) == 0
+    assert command.main(["--weights", weights, *sizes, *kinds]) == 0
     scores = json.loads(capsys.readouterr().out)
     groups = {name for name in scores if "/" in name and "camera" not in name}
     assert groups == {"light/point", "material/dark", "shape/relief"}
@@ -115,5 +116,5 @@ def test_all_scenes_of_one_kind(tmp_path, capsys):
     ],
 )
 def test_bad_arguments_are_named(arguments, expected, capsys):
-    assert validation.main(arguments) == 2
+    assert command.main(arguments) == 2
     assert expected in capsys.readouterr().err

@@ -6,7 +6,7 @@ from flax.traverse_util import flatten_dict
 from safetensors.numpy import save_file
 from small_networks import SMALL, lively_weights
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.weights import (
     from_official,
     load_weights,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from small_networks import SMALL
 
-from unips_jax.config import Config, DataConfig, OptimConfig, TrainConfig
+from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 
 DATA = DataConfig(
     source="scenes", image_size=16, batch_size=8, num_images=(3,), num_pixels=40
@@ -58,9 +58,10 @@ import sys
 from pathlib import Path
 import jax
 jax.config.update("jax_num_cpu_devices", int(sys.argv[2]))
-from unips_jax import config as c
-from unips_jax.train import train
-config = c.from_json(c.Config, Path(sys.argv[1], "config.json").read_text())
+from unips_jax.config import from_json
+from unips_jax.training.config import Config
+from unips_jax.training.loop import train
+config = from_json(Config, Path(sys.argv[1], "config.json").read_text())
 if len(sys.argv) > 3:
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     jax.distributed.initialize(sys.argv[3], 2, int(sys.argv[4]))

@@ -27,17 +27,19 @@ import jax.numpy as jnp
 import numpy as np
 
 import unips_jax
-from unips_jax.command import InputError, command, keep_compiled
-from unips_jax.compilation import (
+from unips_jax.config import ModelConfig
+from unips_jax.console import command, keep_compiled
+from unips_jax.errors import InputError
+from unips_jax.estimation.pure import estimate_normals
+from unips_jax.train import load_config
+from unips_jax.training.compilation import (
     compile_together,
     keep_freed_memory,
     return_freed_memory,
 )
-from unips_jax.config import Config, DataConfig, ModelConfig
-from unips_jax.estimation import estimate_normals
-from unips_jax.train import load_config
-from unips_jax.train_state import new_state
-from unips_jax.train_step import train_step
+from unips_jax.training.config import Config, DataConfig
+from unips_jax.training.state import new_state
+from unips_jax.training.step import train_step
 from unips_jax.weights import OFFICIAL_CONFIG, random_weights
 
 # Rows of the plain products: enough for their full rate.

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from unips_jax.baselines import gcnet_weights
-from unips_jax.command import InputError, command
+from unips_jax.baselines.gcnet import weights as gcnet_weights
+from unips_jax.console import command
+from unips_jax.errors import InputError
 from unips_jax.weights import from_official, save_weights
 
 # The part of the network in each file, by the end of its name.

@@ -21,11 +21,11 @@ import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 
 from unips_jax import estimate_normals
-from unips_jax.canonical import canonical_images, normalize_images, square_frame
-from unips_jax.command import command
 from unips_jax.config import ModelConfig
-from unips_jax.estimation import encode
-from unips_jax.losses import training_loss
+from unips_jax.console import command
+from unips_jax.estimation.frame import canonical_images, normalize_images, square_frame
+from unips_jax.estimation.pure import encode
+from unips_jax.training.loss import training_loss
 from unips_jax.weights import init_params
 
 CONFIGS = {

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from unips_jax import render
+from unips_jax.cli import render
 
 REQUIREMENTS = ("bpy==4.5.15", "numpy<2")
 

@@ -17,9 +17,10 @@ from pathlib import Path
 
 import jax
 
-from unips_jax.command import InputError, command, keep_compiled
+from unips_jax.console import command, keep_compiled
+from unips_jax.errors import InputError
 from unips_jax.scenes import SceneConfig
-from unips_jax.validation import validate
+from unips_jax.training.validation import validate
 from unips_jax.weights import (
     load_weights,
     params_hash,

@@ -14,8 +14,8 @@ are given, converted.
 import argparse
 from pathlib import Path
 
-from unips_jax import eval as evaluation
-from unips_jax import render
+from unips_jax.cli import eval as evaluation
+from unips_jax.cli import render
 
 METHODS = "unips gcnet-small mpm mpm:sign=oracle variational classical".split()
 

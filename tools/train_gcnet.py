@@ -23,12 +23,12 @@ import optax
 from flax.serialization import from_bytes, to_bytes
 from jax import Array
 
-from unips_jax.baselines.gcnet_lights import Logits, encode, light_errors, soft_lights
-from unips_jax.baselines.gcnet_model import GCNet, LightNet, NormalNet, with_lights
-from unips_jax.baselines.gcnet_weights import save_params
+from unips_jax.baselines.gcnet.lights import Logits, encode, light_errors, soft_lights
+from unips_jax.baselines.gcnet.model import GCNet, LightNet, NormalNet, with_lights
+from unips_jax.baselines.gcnet.weights import save_params
 from unips_jax.baselines.method import Lights
-from unips_jax.claims import write_whole
-from unips_jax.command import keep_compiled
+from unips_jax.console import keep_compiled
+from unips_jax.io.claims import write_whole
 from unips_jax.scenes import LIGHT_KINDS, SceneConfig, render_batch
 
 NET = GCNet(

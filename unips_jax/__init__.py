@@ -10,7 +10,7 @@ zero outside the mask.
 """
 
 from unips_jax.config import ModelConfig
-from unips_jax.estimation import estimate_normals
+from unips_jax.estimation.pure import estimate_normals
 from unips_jax.metrics import angular_error_deg
 from unips_jax.weights import load_weights
 

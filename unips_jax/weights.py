@@ -7,6 +7,7 @@ file becomes float32 in memory.
 
 import functools
 import hashlib
+import importlib.resources
 import json
 import os
 import re
@@ -21,14 +22,14 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from unips_jax.claims import write_whole
-from unips_jax.command import InputError
 from unips_jax.config import ModelConfig, from_json, to_json
+from unips_jax.errors import InputError
+from unips_jax.io.claims import write_whole
 from unips_jax.models.unips import UniPS
 
 Params = dict[str, Any]
 
-_ASSETS = Path(__file__).parent / "assets"
+_ASSETS = Path(str(importlib.resources.files("unips_jax"))) / "assets"
 SHIPPED = ("tiny",)
 
 # What the authors' weights need; sizes are the paper's.

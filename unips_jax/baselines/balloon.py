@@ -14,9 +14,9 @@ import numpy as np
 from jax import Array, lax
 from scipy import ndimage
 
+from unips_jax.baselines.grid import forward, integrate, shift
 from unips_jax.baselines.method import Lights, Method, Unsupported
 from unips_jax.baselines.pixels import normal_map
-from unips_jax.baselines.variational_grid import forward, integrate, shift
 
 _DIRECT_SIZE = 96
 _BURST = 50  # iterations between two looks at the area: float32 cannot see one

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 
 
 class Lights(NamedTuple):

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unips_jax.command import InputError
 from unips_jax.cycles.lighting import LIGHTINGS
-from unips_jax.evaluation.store import slug
+from unips_jax.errors import InputError
+from unips_jax.io.claims import slug
 
 CATEGORIES = ("Fabric", "Concrete", "Wood", "Floor", "Ground", "Metal")
 SHAPES = ("cut", "displaced", "knot", "lathe", "extruded", "relief", "pile")

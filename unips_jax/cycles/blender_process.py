@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 
 VARIABLE = "UNIPS_BPY_PYTHON"
 SETUP = "python tools/render_cycles.py --setup .venv-bpy"

@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax.command import InputError, make_folder
 from unips_jax.cycles import assets
 from unips_jax.cycles.blender_process import Blender, find_python
 from unips_jax.cycles.lighting import LIGHTINGS
 from unips_jax.cycles.run import Settings, render_set
-from unips_jax.ps_wild_files import check_picture, write_picture
+from unips_jax.errors import InputError
+from unips_jax.io.claims import make_folder
+from unips_jax.io.ps_wild import check_picture, write_picture
 
 PRESETS: dict[str, dict[str, Any]] = {
     "train": {"images": 10, "training": True},
@@ -150,8 +151,8 @@ def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
     Raises:
         InputError: if the set cannot be read.
     """
-    from unips_jax.contact_sheet import srgb_encode
-    from unips_jax.data.sources import PSWildFolders, read_object
+    from unips_jax.io.color import srgb_encode
+    from unips_jax.io.ps_wild_objects import PSWildFolders, read_object
 
     folders = sorted(p for p in root.iterdir() if p.is_dir() and any(p.glob("*.data")))
     rows: dict[str, dict[str, np.ndarray]] = {"": {}}

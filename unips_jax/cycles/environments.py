@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from unips_jax.image_files import read_image
+from unips_jax.io.images import read_image
 
 HEIGHT, WIDTH = 256, 512
 

@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from unips_jax.claims import claim, claimed, write_whole
-from unips_jax.command import InputError, track
+from unips_jax.console import track
 from unips_jax.cycles.assets import Job
 from unips_jax.cycles.blender_process import Blender, BlenderError
 from unips_jax.cycles.environments import draw_environment, read_mean_radiance
 from unips_jax.cycles.lighting import automatic_gain, draw_light
-from unips_jax.ps_wild_files import write_folder
+from unips_jax.errors import InputError
+from unips_jax.io.claims import claim, claimed, write_whole
+from unips_jax.io.ps_wild import write_folder
 
 _PREVIEW = 64
 _ROTATIONS = 20

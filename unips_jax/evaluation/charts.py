@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from unips_jax.evaluation.pictures import ERROR_LIMIT_DEG
 from unips_jax.evaluation.published import PUBLISHED
 from unips_jax.evaluation.summary import Results
+from unips_jax.pictures.maps import ERROR_LIMIT_DEG
 
 _INK = "#1c2330"
 _SOFT = "#667085"

@@ -11,7 +11,7 @@ results. Modules are imported when a method of theirs is asked for.
 import ast
 import dataclasses
 import hashlib
-import importlib
+import importlib.resources
 import inspect
 import re
 import typing
@@ -24,7 +24,7 @@ import numpy as np
 from typeguard import TypeCheckError, check_type
 
 from unips_jax.baselines.method import Lights, Method
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.provenance import code_hash
 
 
@@ -46,42 +46,43 @@ class Baseline(NamedTuple):
     network: str = ""
 
 
-_SMALL = Path(__file__).parents[1] / "assets" / "gcnet_small.safetensors"
+_ASSETS = Path(str(importlib.resources.files("unips_jax"))) / "assets"
+_SMALL = _ASSETS / "gcnet_small.safetensors"
 
 BASELINES: dict[str, Baseline] = {
     "gcnet": Baseline(
         "GCNet (Chen et al., ECCV 2020), re-implemented, with the weights given: "
         "lights estimated, then normals by a calibrated method",
-        *("gcnet", "gcnet"),
+        *("gcnet.methods", "gcnet"),
         network="gcnet",
     ),
     "gcnet-small": Baseline(
         "GCNet architecture at half the width, our weights (tools/train_gcnet.py): "
         "lights estimated, then normals by least squares",
-        *("gcnet", "gcnet"),
+        *("gcnet.methods", "gcnet"),
         {"weights": str(_SMALL), "normals": "woodham", "side": 64},
     ),
     "lcnet": Baseline(
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
         "given: lights estimated, then normals by a calibrated method",
-        *("gcnet", "lcnet"),
+        *("gcnet.methods", "lcnet"),
         network="lcnet",
     ),
     "ps-fcn": Baseline(
         "PS-FCN (Chen et al., ECCV 2018), re-implemented, with the weights given; "
         "calibrated",
-        *("gcnet", "ps_fcn"),
+        *("gcnet.methods", "ps_fcn"),
         network="ps_fcn",
     ),
     "mpm": Baseline(
         "MPM-style: our reconstruction from the idea of Mo et al. (CVPR 2018); the "
         "authors' code is not public. Uncalibrated, orthographic, convex objects",
-        *("mpm", "mpm"),
+        *("mpm.method", "mpm"),
     ),
     "variational": Baseline(
         "Variational (Haefner et al., ICCV 2019), re-implemented. Uncalibrated; "
         "Lambertian, starts from a balloon",
-        *("variational", "variational"),
+        *("variational.method", "variational"),
     ),
     "woodham": Baseline(
         "Least squares, calibrated, with the recipe of the DiLiGenT table",
@@ -288,7 +289,7 @@ def _check_files(request: str, name: str, options: Mapping[str, Any]) -> None:
             f"{weights!r}"
         )
     if network:
-        from unips_jax.baselines.gcnet_weights import load_params
+        from unips_jax.baselines.gcnet.weights import load_params
 
         found = load_params(str(weights))[1]
         if found != network:
@@ -323,7 +324,7 @@ def _file_hash(value: Any) -> Any:
 
 
 def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
-    from unips_jax.streaming import estimate_photographs
+    from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.weights import load_weights, params_hash
 
     several = len(unips.weights) > 1
@@ -360,7 +361,7 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
                     label + " uniform contexts" * uniform,
                     {
                         **{"method": "unips", "options": options, "weights": weights},
-                        "method_code": code_hash("streaming"),
+                        "method_code": code_hash("estimation.streaming"),
                     },
                     run,
                     f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "

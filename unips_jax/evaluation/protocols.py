@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from unips_jax.baselines.method import Lights
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import Item
 
 _MARGIN = 4

@@ -4,15 +4,15 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from unips_jax.claims import write_whole
 from unips_jax.evaluation.benchmarks import submission_bytes
 from unips_jax.evaluation.protocols import choose_images, show
 from unips_jax.evaluation.report import Exhibit, exhibit, report
 from unips_jax.evaluation.runner import Plan, Result
 from unips_jax.evaluation.sheets import Panel, sheet
-from unips_jax.evaluation.store import Store, slug
+from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.summary import TABLES, Results, Table
 from unips_jax.evaluation.tables import files_of
+from unips_jax.io.claims import slug, write_whole
 
 
 def write_tables(store: Store, tables: Sequence[Table]) -> Path:

@@ -9,17 +9,12 @@ import cv2
 import numpy as np
 
 from unips_jax.evaluation import charts
-from unips_jax.evaluation.pictures import (
-    error_picture,
-    frame,
-    normals_picture,
-    shrink,
-)
 from unips_jax.evaluation.protocols import Case
 from unips_jax.evaluation.scores import error_map
 from unips_jax.evaluation.sheets import Panel
 from unips_jax.evaluation.summary import Cell, Results, Table
 from unips_jax.evaluation.tables import TEMPLATES, environment
+from unips_jax.pictures.maps import error_picture, frame, normals_picture, shrink
 
 _PICTURE_LIMIT = 320
 _QUALITY = 88

@@ -17,12 +17,13 @@ import numpy as np
 
 from unips_jax import __version__
 from unips_jax.baselines.method import Estimated, Unsupported
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import Benchmark, Item
 from unips_jax.evaluation.methods import Variant
 from unips_jax.evaluation.protocols import Case, Protocol, choose_images, show
 from unips_jax.evaluation.scores import Score, best_signs, from_json, score
-from unips_jax.evaluation.store import Store, result_key, slug
+from unips_jax.evaluation.store import Store, result_key
+from unips_jax.io.claims import slug
 from unips_jax.provenance import code_hash
 
 _POLL_S = 0.2

@@ -15,7 +15,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from unips_jax.evaluation.pictures import (
+from unips_jax.evaluation.protocols import Case
+from unips_jax.evaluation.scores import error_map
+from unips_jax.pictures.maps import (
     COLOURS,
     ERROR_LIMIT_DEG,
     error_picture,
@@ -24,8 +26,6 @@ from unips_jax.evaluation.pictures import (
     photograph_picture,
     shrink,
 )
-from unips_jax.evaluation.protocols import Case
-from unips_jax.evaluation.scores import error_map
 
 _CELL = 1.6
 _GAP = 0.08

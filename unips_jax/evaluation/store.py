@@ -2,14 +2,13 @@
 
 Each result is a JSON file, put in place in one step after its normal map; it exists
 whole or not at all. Work is claimed by a file per result, and files are only written
-under the claim; see `claims`.
+under the claim; see `io.claims`.
 """
 
 import contextlib
 import hashlib
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from unips_jax.claims import claim, write_whole
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
+from unips_jax.io.claims import claim, slug, write_whole
 
 
 def result_key(fields: Mapping[str, Any]) -> str:
@@ -29,11 +28,6 @@ def result_key(fields: Mapping[str, Any]) -> str:
     """
     text = json.dumps(fields, sort_keys=True, default=repr)
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
-
-
-def slug(text: str) -> str:
-    """The text as part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9.+=-]+", "_", text).strip("_") or "_"
 
 
 class Store:

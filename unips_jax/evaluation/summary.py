@@ -4,13 +4,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from unips_jax.evaluation.published import (
-    DATA,
-    PUBLISHED,
-    Published,
-    comparable,
-    mean,
-)
+from unips_jax.evaluation.published import DATA, PUBLISHED, Published, comparable, mean
 from unips_jax.evaluation.runner import Result
 from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import DTypeLike
 
-from unips_jax import ops
+from unips_jax.models import ops
 from unips_jax.models.set_attention import SAB, Dense, dense, layer_norm
 
 # Width of an attention head, and of the MLP over the block's.

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
-from unips_jax import ops
+from unips_jax.models import ops
 from unips_jax.models.dropout import Dropout
 
 

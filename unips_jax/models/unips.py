@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import DTypeLike
 
-from unips_jax import ops
 from unips_jax.config import ModelConfig
+from unips_jax.models import ops
 from unips_jax.models.consensus import Consensus, Guesses
 from unips_jax.models.set_attention import PMA, SAB, dense, layer_norm
 from unips_jax.models.swin import PatchEmbed, PatchMerging, SwinStage

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import DTypeLike
 
-from unips_jax import ops
+from unips_jax.models import ops
 
 
 class UPerNet(nn.Module):

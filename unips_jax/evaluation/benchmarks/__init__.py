@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Item
 from unips_jax.evaluation.benchmarks.diligent import (
     Diligent,

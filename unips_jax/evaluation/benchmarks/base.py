@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from unips_jax.baselines.method import Lights
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files, images
 
 

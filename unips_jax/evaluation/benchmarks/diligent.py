@@ -18,14 +18,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files, images
-from unips_jax.evaluation.benchmarks.base import (
-    Benchmark,
-    Entry,
-    Truth,
-    distant_lights,
-)
+from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
 
 _OBJECTS = (
     *("ball", "bear", "buddha", "cat", "cow"),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 
 
 def natural_key(name: str) -> tuple[Any, ...]:

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files, images
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
-from unips_jax.exif import exif_focal
-from unips_jax.image_files import SUFFIXES, as_linear, usual_transfer
-from unips_jax.photos import (
+from unips_jax.io.color import as_linear, usual_transfer
+from unips_jax.io.exif import exif_focal
+from unips_jax.io.images import SUFFIXES
+from unips_jax.io.photographs import (
     Selection,
     folder_name,
     read_mask,
@@ -30,7 +31,7 @@ class Folder(Benchmark):
     16 bits and as n in floating point, and, where it is given, `mask.*`. Without a mask
     the object's pixels are those whose true normal has unit length (to 1e-3 in 16 bits
     or more, to 0.05 in 8). Photographs and mask are chosen and read as by
-    `unips estimate` (see `unips_jax.photos`), those of 8 bits taken as sRGB (store
+    `unips estimate` (see `io.photographs`), those of 8 bits taken as sRGB (store
     linear ones in 16). An object's photographs are read whole by the check too. The
     focal length is taken from the first photograph's EXIF data, where it carries one.
     """

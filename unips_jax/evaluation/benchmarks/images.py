@@ -15,9 +15,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks.files import read_bytes
-from unips_jax.image_files import SUFFIXES, displayed, require_finite
+from unips_jax.io.images import SUFFIXES, displayed, require_finite
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}

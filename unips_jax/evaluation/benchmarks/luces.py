@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files, images
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
 

@@ -22,14 +22,9 @@ from typing import Any
 import numpy as np
 
 from unips_jax.baselines.method import Lights
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files, images
-from unips_jax.evaluation.benchmarks.base import (
-    Benchmark,
-    Entry,
-    Truth,
-    distant_lights,
-)
+from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
 
 _LIGHTINGS = {
     **{name: "directional" for name in ("directional", "dir", "directional_light")},

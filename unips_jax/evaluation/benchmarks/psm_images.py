@@ -18,14 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from unips_jax.baselines.method import Lights
-from unips_jax.command import InputError
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files, images
-from unips_jax.evaluation.benchmarks.base import (
-    Benchmark,
-    Entry,
-    Truth,
-    distant_lights,
-)
+from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
 
 _OBJECTS = ("buddha", "cat", "gray", "horse", "owl", "rock")
 

@@ -1,0 +1,1 @@
+"""GCNet, LCNet and PS-FCN, re-implemented."""

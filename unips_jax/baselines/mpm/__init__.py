@@ -1,0 +1,1 @@
+"""An MPM-style method: our reconstruction."""

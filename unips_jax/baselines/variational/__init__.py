@@ -1,0 +1,1 @@
+"""Variational uncalibrated photometric stereo, re-implemented."""

@@ -1,0 +1,167 @@
+"""Variational uncalibrated photometric stereo under general lighting.
+
+Depth, albedo and second-order spherical-harmonic lighting of every image and channel,
+found from a balloon over the mask by alternating descent.
+
+A re-implementation, validated against the authors' results on synthetic data. Where it
+departs from them: Huber's function is symmetric, the starting balloon has a size by
+default or automatically, and there is an orthographic camera. The method assumes an
+object of Lambertian material without cast shadows; its result depends strongly on the
+starting volume.
+
+Source: Haefner, Ye, Gao, Wu, Quéau, Cremers, "Variational uncalibrated photometric
+stereo under general lighting" (ICCV 2019).
+"""
+
+import warnings
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from unips_jax.baselines.balloon import balloon, perspective_depth, to_product_frame
+from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.pixels import object_pixels
+from unips_jax.baselines.variational.descent import FIRST_ORDER_ITERATIONS, solve
+from unips_jax.baselines.variational.model import Energy, Problem, inner_normals
+
+MIN_IMAGES = 3
+
+
+def variational(
+    *,
+    sh_schedule: Literal["authors", "second"] = "authors",
+    camera: Literal["perspective", "orthographic"] = "perspective",
+    volume: float | Literal["auto"] | None = None,
+    iterations: int = 20,
+    clamp: bool = False,
+    border: Literal["authors", "inside"] = "authors",
+) -> Method:
+    """Makes the variational method.
+
+    Args:
+        sh_schedule: "authors" starts with eight rounds of first-order lighting,
+            "second" has second-order lighting from the start, which is more accurate.
+        camera: "orthographic" ignores the focal length.
+        volume: the starting balloon's mean height in pixels; None: a fifth of the
+            radius of the disc with the mask's area; "auto": tries 0.1, 0.2 and 0.3
+            radii and keeps the lowest final energy, for three times the work.
+        iterations: rounds at most.
+        clamp: leave pixels with negative shading out.
+        border: "authors" has depth 0 beyond the mask, which turns the normals of its
+            right and lower rim away; "inside" reads these from the depth inside.
+
+    Returns:
+        The method. It ignores lights. An infinite focal length means the orthographic
+        camera; without any the perspective camera takes the images' longer side, with
+        a warning. It raises `Unsupported` for fewer than three images, an empty mask
+        or black images.
+
+    Raises:
+        ValueError: if an option is none of the above.
+    """
+    for name, value, choices in (
+        ("sh_schedule", sh_schedule, ("authors", "second")),
+        ("camera", camera, ("perspective", "orthographic")),
+        ("border", border, ("authors", "inside")),
+    ):
+        if value not in choices:
+            raise ValueError(f"{name}: expected one of {choices}, got {value!r}")
+    if not (volume in (None, "auto") or (not isinstance(volume, str) and volume > 0)):
+        raise ValueError(f"volume: expected 'auto' or pixels > 0, got {volume!r}")
+    first_order = FIRST_ORDER_ITERATIONS if sh_schedule == "authors" else 0
+
+    def method(
+        images: np.ndarray,
+        mask: np.ndarray,
+        *,
+        lights: Lights | None = None,
+        focal: float | None = None,
+    ) -> np.ndarray:
+        del lights
+        _, mask = object_pixels(images, mask, name="variational", minimum=MIN_IMAGES)
+        if camera == "orthographic":
+            focal = np.inf
+        elif focal is None:
+            focal = float(max(mask.shape))
+            warnings.warn(
+                f"variational: focal length unknown, {focal:g} px assumed (the "
+                "images' side); pass focal or use the orthographic camera",
+                stacklevel=2,
+            )
+        problem = make_problem(images, mask, focal=focal, clamp=clamp)
+        results = [
+            solve(
+                problem,
+                initial_depth(problem, size),
+                iterations=iterations,
+                first_order=first_order,
+            )
+            for size in _volumes(volume, mask)
+        ]
+        best = min(results, key=lambda result: _cost(result.trace[-1]))
+        if not np.isfinite(_cost(best.trace[-1])):
+            raise Unsupported("variational: the descent diverged on these images")
+        normals = best.normals
+        if border == "inside":
+            normals = inner_normals(best.state.depth, problem)
+        return to_product_frame(normals, mask)
+
+    return method
+
+
+def _volumes(volume: float | str | None, mask: np.ndarray) -> list[float]:
+    radius = float(np.sqrt(mask.sum() / np.pi))
+    if volume == "auto":
+        return [share * radius for share in (0.1, 0.2, 0.3)]
+    return [0.2 * radius if volume is None else float(volume)]
+
+
+def _cost(last: Energy) -> float:
+    cost = float(last.photometric + last.smoothness)
+    return cost if np.isfinite(cost) else np.inf
+
+
+def make_problem(
+    images: np.ndarray,
+    mask: np.ndarray,
+    *,
+    focal: float = np.inf,
+    clamp: bool = False,
+) -> Problem:
+    """Prepares images and camera.
+
+    Args:
+        images: `[N, H, W, C]`, linear, of any scale.
+        mask: `[H, W]`, bool.
+        focal: focal length in pixels, principal point at the images' centre; infinite
+            for the orthographic camera.
+        clamp: leave pixels with negative shading out.
+    """
+    height, width = mask.shape
+    inside = np.where(mask[..., None], np.asarray(images, np.float32), 0)
+    stack = np.moveaxis(inside / inside.max(), -1, 1)
+    v, u = np.mgrid[:height, :width].astype(np.float32)
+    return Problem(
+        images=jnp.asarray(stack),
+        mask=jnp.asarray(mask, bool),
+        u=jnp.asarray(u - (width - 1) / 2),
+        v=jnp.asarray(v - (height - 1) / 2),
+        focal=jnp.float32(focal if np.isfinite(focal) else 1),
+        perspective=jnp.float32(np.isfinite(focal)),
+        clamp=jnp.asarray(clamp),
+    )
+
+
+def initial_depth(problem: Problem, volume: float) -> Array:
+    """Depth of a balloon seen by the problem's camera, `[H, W]`.
+
+    Args:
+        problem: gives mask and camera.
+        volume: the balloon's mean height in pixels.
+    """
+    height = balloon(problem.mask, volume)
+    if not problem.perspective:
+        return -height
+    return perspective_depth(height, problem.mask, problem.u, problem.v, problem.focal)

@@ -1,1 +1,0 @@
-"""Training data read from disk: NumPy and OpenCV only, never JAX."""

@@ -1,0 +1,1 @@
+"""Normals of an object from its photographs: the network, applied."""

@@ -1,0 +1,278 @@
+"""Normals from images, by one pure, differentiable function.
+
+Source: UniPS (Ikehata, CVPR 2022), Sec. 4. Departures from the paper: images need not
+be square. The encoder sees the smallest square around the mask (zeros where it leaves
+the image), and every pixel is decoded at its own place and size. The normals may be the
+mean over the images and the mirrored images (`ModelConfig.mirror`).
+"""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from unips_jax.config import ModelConfig
+from unips_jax.estimation.chunks import (
+    CHUNK_IMAGES,
+    CHUNK_TOKENS,
+    map_chunks,
+    map_views,
+)
+from unips_jax.estimation.frame import (
+    Frame,
+    FrameKind,
+    canonical_images,
+    normalize_images,
+    square_frame,
+)
+from unips_jax.models import ops
+from unips_jax.models.unips import UniPS
+
+Params = Any
+
+
+def encode(
+    params: Params,
+    images: Array,
+    valid: Array | None = None,
+    *,
+    config: ModelConfig,
+    uniform_contexts: bool = False,
+) -> Array:
+    """Global lighting contexts, with bounded memory in images and in pixels.
+
+    Args:
+        params: the network's parameters.
+        images: `[N, s, s, 4]`, from `canonical_images`.
+        valid: `[N]`, bool: which images count; None: all.
+        config: the network's configuration.
+        uniform_contexts: replace each image's contexts by their mean over the mask
+            (the paper's Table 5, to see what their spatial variation gives).
+
+    Returns:
+        `[N, s/4, s/4, context_dim]`.
+    """
+    encoder = UniPS(config).bind({"params": params}).encoder
+
+    def communicate(level: Array, index: int) -> Array:
+        n, h, w, c = level.shape
+        sets = jnp.moveaxis(level.reshape(n, h * w, 1, c), 1, 0)  # [h * w, N, 1, c]
+        block = functools.partial(encoder.communicate, index=index, valid=valid)
+        sets = map_chunks(
+            lambda part: jnp.moveaxis(block(jnp.moveaxis(part, 0, 1)), 0, 1),
+            sets,
+            max(1, CHUNK_TOKENS // n),
+        )
+        return jnp.moveaxis(sets, 0, 1).reshape(n, h, w, c)
+
+    related = encoder.relate(images, valid)
+    if config.communication == "during":
+        level, maps = map_chunks(encoder.embed, related, CHUNK_IMAGES), []
+        for i, norm in enumerate(encoder.norms):
+            stage = functools.partial(encoder.stage, index=i)
+            level = communicate(map_chunks(stage, level, CHUNK_IMAGES), i)
+            maps.append(norm(level))
+    else:
+        maps = map_chunks(
+            lambda part: encoder.extract(encoder.embed(part)), related, CHUNK_IMAGES
+        )
+    if config.communication == "pre":
+        maps = [communicate(level, i) for i, level in enumerate(maps)]
+    contexts = map_chunks(encoder.fuse, maps, CHUNK_IMAGES)
+    if config.communication == "post":
+        contexts = communicate(contexts, 0)
+    contexts, _ = encoder.agree(contexts, valid)
+    if uniform_contexts:
+        _, height, width, _ = contexts.shape
+        inside = ops.resize_mask_nearest(images[..., 3], (height, width))[..., None]
+        total = jnp.sum(contexts * inside, axis=(1, 2), keepdims=True)
+        mean = total / jnp.maximum(jnp.sum(inside, axis=(1, 2), keepdims=True), 1)
+        contexts = jnp.broadcast_to(mean, contexts.shape)
+    return contexts
+
+
+def decode(
+    params: Params,
+    contexts: Array,
+    pixels: Array,
+    places: tuple[Array, Array],
+    frame: Frame,
+    valid: Array | None = None,
+    *,
+    width: int,
+    config: ModelConfig,
+) -> Array:
+    """Normals of pixels, from their sets.
+
+    Args:
+        params: the network's parameters.
+        contexts: `[V, N, s/4, s/4, context_dim]`, from `encode`, of one view or two:
+            the images, and the mirrored images (`ModelConfig.mirror`).
+        pixels: `[P, N, 3]`, normalised RGB.
+        places: rows and columns of the pixels in the image, `[P]` each.
+        frame: the square that was encoded, `[V]`.
+        valid: `[N]`, bool: which images count; None: all.
+        width: columns of the image.
+        config: the network's configuration.
+
+    Returns:
+        Unit normals, `[P, 3]`; of two views the mean, mirrored back.
+    """
+    network = UniPS(config).bind({"params": params})
+    offset = 0.5 if config.context_sampling == "center" else 0.0
+
+    def decode_view(view: tuple[Array, Frame, Array]) -> Array:
+        contexts, frame, mirrored = view
+        scale = contexts.shape[1] / frame.side
+        rows, columns = places
+        columns = jnp.where(mirrored, width - 1 - columns, columns)
+        rows = (rows - frame.top + offset) * scale - 0.5
+        columns = (columns - frame.left + offset) * scale - 0.5
+        sampled = network.sample(contexts, rows, columns)
+        normals = network.decoder(pixels, sampled, valid)
+        return jnp.where(mirrored, normals * jnp.array([-1, 1, 1]), normals)
+
+    mirrored = jnp.arange(len(contexts)) == 1
+    normals = map_views(decode_view, (contexts, frame, mirrored))
+    return normals[0] if len(normals) == 1 else ops.normalize(jnp.sum(normals, axis=0))
+
+
+def estimate_normals(
+    params: Params,
+    images: ArrayLike,
+    mask: ArrayLike | None = None,
+    *,
+    config: ModelConfig,
+    valid: ArrayLike | None = None,
+    frame: FrameKind = "mask",
+    uniform_contexts: bool = False,
+) -> Array:
+    """Estimates an object's normals from images under different, unknown light.
+
+    Pure and jitted; works under `jit`, under `vmap` over objects and under `grad` with
+    respect to images and parameters. The encoder runs over a few images at a time and
+    the decoder over a few thousand set members, both recomputed in the backward pass,
+    so that memory beyond inputs and outputs is bounded in all three. Stretches without
+    masked pixels are skipped (not under `vmap`, which computes both branches of a
+    condition: use `jax.lax.map` over objects to keep that).
+
+    Images need not be square: the encoder sees the smallest square around the mask,
+    with zeros where it leaves the image, and no aspect ratio changes. With `mirror` in
+    the configuration it also sees the mirrored images, and the normals are the mean.
+
+    On NVIDIA GPUs JAX multiplies float32 matrices with 10 bits of mantissa unless
+    `jax.default_matmul_precision("highest")` surrounds the call.
+
+    Args:
+        params: the network's parameters.
+        images: `[N, H, W, 3]`, linear RGB, of any scale (each is divided by its mean).
+        mask: `[H, W]`, non-zero on the object; None: the whole image.
+        config: the network's configuration.
+        valid: `[N]`, bool: images that count, so that sets can be padded; None: all.
+        frame: what the encoder's square surrounds, the "mask" or the whole "image".
+        uniform_contexts: an ablation, see `encode`.
+
+    Returns:
+        `[H, W, 3]`: unit normals inside the mask, x right, y up, z towards the viewer;
+        zero outside. NaN inside where a value that is not finite reached them: one
+        inside the mask reaches them all, through its image's context.
+
+    Raises:
+        ValueError: if the shapes do not fit each other.
+
+    Source: UniPS (Ikehata, CVPR 2022), Sec. 4.
+    """
+    images = jnp.asarray(images)
+    if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
+        raise ValueError(
+            f"images: expected [N, H, W, 3] with at least one image and pixel, got "
+            f"{images.shape}; grey images must be repeated over three channels"
+        )
+    mask = jnp.ones(images.shape[1:3], bool) if mask is None else jnp.asarray(mask)
+    if mask.shape != images.shape[1:3]:
+        raise ValueError(
+            f"mask: expected the images' [H, W] = {images.shape[1:3]}, got {mask.shape}"
+        )
+    if valid is not None and jnp.shape(valid) != images.shape[:1]:
+        raise ValueError(
+            f"valid: expected one flag per image, {images.shape[:1]}, got "
+            f"{jnp.shape(valid)}"
+        )
+    return _estimate_normals(
+        params,
+        images.astype(jnp.promote_types(images.dtype, jnp.float32)),
+        mask > 0,
+        None if valid is None else jnp.asarray(valid, bool),
+        config=config,
+        frame_kind=frame,
+        uniform_contexts=uniform_contexts,
+    )
+
+
+@functools.partial(
+    jax.jit, static_argnames=("config", "frame_kind", "uniform_contexts")
+)
+def _estimate_normals(
+    params: Params,
+    images: Array,
+    mask: Array,
+    valid: Array | None,
+    *,
+    config: ModelConfig,
+    frame_kind: FrameKind,
+    uniform_contexts: bool,
+) -> Array:
+    n, height, width, _ = images.shape
+    images = normalize_images(images, mask)
+
+    def view_of(images: Array, mask: Array) -> tuple[Array, Frame]:
+        frame = square_frame(mask, frame_kind)
+        size, antialias = config.canonical_size, config.antialias
+        return canonical_images(images, mask, frame, size, antialias), frame
+
+    views = [view_of(images, mask)]
+    if config.mirror:
+        views.append(view_of(images[:, :, ::-1], mask[:, ::-1]))
+    inputs, frame = jax.tree.map(lambda *view: jnp.stack(view), *views)
+    contexts = map_views(
+        lambda view: encode(
+            params, view, valid, config=config, uniform_contexts=uniform_contexts
+        ),
+        inputs,
+    )
+
+    # Masked pixels first, so that whole chunks beyond them can be skipped. Gathered
+    # before the loop: in it, each chunk's gradient would be as large as the images.
+    count = height * width
+    (index,) = jnp.nonzero(mask.reshape(-1), size=count, fill_value=count)
+    flat = images.reshape(n, count, 3)
+    pixels = jnp.moveaxis(jnp.take(flat, index, axis=1, mode="clip"), 0, 1)
+
+    def decode_chunk(part: tuple[Array, Array]) -> Array:
+        def run(part: tuple[Array, Array]) -> Array:
+            pixels, index = part
+            places = index // width, index % width
+            return decode(
+                params,
+                contexts,
+                pixels,
+                places,
+                frame,
+                valid,
+                width=width,
+                config=config,
+            )
+
+        result = jax.eval_shape(run, part)
+        # Zeros that vary over the devices of a `shard_map` as the result does.
+        empty = jnp.zeros(result.shape, result.dtype)
+        empty = jnp.where(False, contexts.reshape(-1)[0], empty)
+        return jax.lax.cond(part[1][0] < count, run, lambda _: empty, part)
+
+    decoded = map_chunks(decode_chunk, (pixels, index), max(1, CHUNK_TOKENS // n))
+    normals = jnp.zeros((count, 3), decoded.dtype)
+    normals = normals.at[index].set(decoded, mode="drop")
+    return normals.reshape(height, width, 3)

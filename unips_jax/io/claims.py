@@ -1,0 +1,124 @@
+"""Claims on pieces of work that several processes share, and files put in place whole.
+
+Claims are `flock`s, which the operating system lets go when a process ends, however it
+ends.
+"""
+
+import contextlib
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+from unips_jax.errors import InputError
+
+_T = TypeVar("_T")
+
+
+@contextlib.contextmanager
+def claim(lock: Path, *, wait: bool = False) -> Iterator[bool]:
+    """Claims a piece of work until the block ends, or the process does.
+
+    Args:
+        lock: a file that stands for the work; made if it is not there, never removed.
+        wait: until nobody else has it.
+
+    Yields:
+        Whether it is ours.
+
+    Raises:
+        InputError: if the operating or the file system has no `flock`.
+    """
+    try:
+        import fcntl  # not on Windows, where all that needs no claim works
+    except ImportError:
+        raise InputError(
+            f"{lock}: expected a system with flock (Linux, macOS) to claim work, got "
+            f"{sys.platform}; on Windows run this in WSL"
+        ) from None
+    with lock.open("ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            yield False
+            return
+        except OSError as error:
+            raise InputError(
+                f"{lock}: expected a file system with flock to claim work, got: "
+                f"{error.strerror}; choose a folder on another"
+            ) from error
+        yield True
+
+
+def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:
+    """Yields every item while it is ours; what others have comes last, once they end.
+
+    Args:
+        items: pieces of work.
+        lock: gives the file that stands for one; see `claim`.
+    """
+    others = []
+    for item in items:
+        with claim(lock(item)) as ours:
+            if ours:
+                yield item
+            else:
+                others.append(item)
+    for item in others:
+        with claim(lock(item), wait=True):
+            yield item
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Writes a file that is complete or absent, whatever happens.
+
+    A temporary file beside it is written first, which a killed process may leave.
+
+    Args:
+        path: the file; its folder is made if it is not there.
+        data: what goes into it.
+
+    Raises:
+        InputError: if it cannot be written; what was there before stays.
+    """
+    temporary = path.parent / f".{path.name}.{os.getpid()}.tmp"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected a place where it can be written, got: {error.strerror}; "
+            "free space there, or choose another"
+        ) from error
+
+
+def make_folder(path: Path, option: str) -> None:
+    """Makes a folder, unless it is there.
+
+    Args:
+        path: of the folder.
+        option: of the command line that gave it.
+
+    Raises:
+        InputError: if it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror
+        raise InputError(f"{option} {path}: cannot be a folder ({reason})") from None
+
+
+def slug(text: str) -> str:
+    """The text as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9.+=-]+", "_", text).strip("_") or "_"

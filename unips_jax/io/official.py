@@ -1,0 +1,113 @@
+"""The authors' own preprocessing, for results comparable with theirs.
+
+Square crop around the mask (but none for training folders), nearest-neighbour resize
+to a fixed size (the aspect is not kept), division by the mean inside the mask. Every
+file is taken as linear. For everything else there is
+`io.photographs.read_photographs`.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from unips_jax.errors import InputError
+from unips_jax.io.color import as_float
+from unips_jax.io.images import read_image
+from unips_jax.io.photographs import Selection, mask_for, require_one_orientation
+
+_MARGIN = 4
+
+
+def read_official(
+    selection: Selection, *, size: int = 512
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Reads photographs as the authors' reader does.
+
+    Args:
+        selection: what to read. With a `normal.tif` beside the photographs, the mask
+            of a folder without its own is where these normals have unit length. A
+            training folder (photographs `0*` and `normal.tif`) is not cropped.
+        size: side of the result in pixels.
+
+    Returns:
+        images `[N, size, size, 3]` (float32, linear RGB, mean 1 inside the mask and 0
+        outside), mask `[size, size]` (bool), and normals `[size, size, 3]` (float32,
+        as stored) or None.
+
+    Raises:
+        InputError: if a file cannot be used, sizes or orientations differ, or an
+            image is black inside the mask.
+    """
+    require_one_orientation(selection)
+    first = _as_rgb(read_image(selection.files[0]))
+    shape = first.shape[:2]
+    normal_file = selection.folder / "normal.tif"
+    normals = None
+    if normal_file.is_file():
+        normals = 2 * _sized(normal_file, shape) - 1
+    if selection.mask_file is None and normals is not None:
+        mask = np.abs(1 - np.linalg.norm(normals, axis=-1)) < 1e-3
+    else:
+        mask = mask_for(selection, shape)
+    training = normals is not None and selection.names[0].startswith("0")
+    crop = (slice(None), slice(None)) if training else official_crop(mask)
+    small_mask = _resized(mask.astype(np.uint8)[crop], size) > 0
+    images = np.zeros((len(selection.files), size, size, 3), np.float32)
+    for image, file in zip(images, selection.files, strict=True):
+        image[:] = _resized(_sized(file, shape)[crop], size)
+        mean = image[small_mask].mean(dtype=np.float64) if small_mask.any() else 0
+        if not mean > 0:
+            raise InputError(
+                f"{file}: expected light inside the mask, got 0 everywhere; remove the "
+                "image, or check the mask"
+            )
+        image *= small_mask[..., None] / np.float32(mean)
+    if normals is not None:
+        normals = _resized(normals[crop], size)
+    return images, small_mask, normals
+
+
+def official_crop(mask: np.ndarray) -> tuple[slice, slice]:
+    """The authors' crop around a mask: rows and columns.
+
+    Args:
+        mask: `[H, W]`, bool. If its bounding box with a margin of 4 pixels does not
+            stay strictly inside the image, nothing is cropped.
+    """
+    spans = [np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)]
+    if not all(len(span) for span in spans):
+        return slice(None), slice(None)
+    lows = [int(span[0]) for span in spans]
+    highs = [int(span[-1]) for span in spans]
+    for low, high, length in zip(lows, highs, mask.shape, strict=True):
+        if not (low - _MARGIN > 0 and high + _MARGIN <= length):
+            return slice(None), slice(None)
+    lengths = [high - low for low, high in zip(lows, highs, strict=True)]
+    extra = int(0.5 * abs(lengths[0] - lengths[1]))
+    shorter = int(np.argmin(lengths))
+    crop = []
+    for axis, (low, high) in enumerate(zip(lows, highs, strict=True)):
+        reach = _MARGIN + (extra if axis == shorter else 0)
+        crop.append(slice(max(low - reach, 0), min(high + reach, mask.shape[axis])))
+    return crop[0], crop[1]
+
+
+def _as_rgb(image: np.ndarray) -> np.ndarray:
+    return np.broadcast_to(as_float(image), (*image.shape[:2], 3))
+
+
+def _sized(file: Path, shape: tuple[int, ...]) -> np.ndarray:
+    image = _as_rgb(read_image(file))
+    if image.shape[:2] != shape:
+        raise InputError(
+            f"{file}: expected {shape[1]} x {shape[0]} pixels as the first photograph, "
+            f"got {image.shape[1]} x {image.shape[0]}; remove or re-export it"
+        )
+    return image
+
+
+def _resized(image: np.ndarray, size: int) -> np.ndarray:
+    return cv2.resize(
+        np.ascontiguousarray(image), (size, size), interpolation=cv2.INTER_NEAREST
+    )

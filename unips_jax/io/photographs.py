@@ -1,0 +1,307 @@
+"""Reads a folder of photographs of one object, and its mask.
+
+What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or else
+`0*`; elsewhere every image file. Never a normal, depth or material map, a mask, ground
+truth or this package's own output (`is_map`), and never hidden files. Files are sorted
+by name; whatever is left out is listed with its reason.
+
+The mask is `mask.png` (or another format), or the file given; see `read_mask`. Without
+a mask the whole image counts: nothing is cropped or stretched. EXIF orientation: see
+`unips_jax.io.images`.
+"""
+
+import dataclasses
+import os
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unips_jax.errors import InputError
+from unips_jax.io.exif import exif_orientation
+from unips_jax.io.images import SUFFIXES, is_lossy, read_image, read_opacity
+
+_MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
+_MAP_NAME = re.compile(
+    # A name that begins with such a word, or has it or "gt" as a word of its own.
+    rf"^(?:{_MAP_WORDS}|albedo|shading)|^sheet$|\b(?:{_MAP_WORDS}|albedo|gt)\b",
+    re.IGNORECASE,
+)
+_RAW_SUFFIXES = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
+
+
+@dataclasses.dataclass(frozen=True)
+class Selection:
+    """Which files of a folder are photographs.
+
+    Attributes:
+        folder: the folder.
+        files: the photographs, sorted by name; at least one.
+        left_out: for each reason, the names left out for it.
+        mask_file: the mask, or None.
+    """
+
+    folder: Path
+    files: tuple[Path, ...]
+    left_out: dict[str, list[str]]
+    mask_file: Path | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The photographs' file names."""
+        return tuple(file.name for file in self.files)
+
+
+def is_map(name: str) -> bool:
+    """Whether a file is, by its name, a map or an output and no photograph.
+
+    Args:
+        name: the file's name, in any case. `normal_gt.png`, `objMask.tif` and
+            `baseColor.tif` are maps; `length_01.png` and `abnormal.jpg` are not.
+    """
+    words = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", Path(name).stem)
+    words = re.sub(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", " ", words).strip()
+    return bool(_MAP_NAME.search(words))
+
+
+def select(
+    folder: Path,
+    *,
+    mask_file: Path | None = None,
+    max_images: int | None = None,
+    seed: int = 0,
+) -> Selection:
+    """Finds the photographs and the mask of a folder, without reading them.
+
+    Args:
+        folder: the folder.
+        mask_file: the mask, in place of the folder's own.
+        max_images: if the folder has more photographs, this many are drawn.
+        seed: seed of that draw; the same seed and files give the same choice.
+
+    Raises:
+        InputError: if there is no such folder, no photograph in it, no such mask, or
+            more than one mask.
+    """
+    if not folder.is_dir():
+        what = "a file" if folder.exists() else "nothing of this name"
+        hint = f"; give its folder, {folder.parent}" if folder.exists() else ""
+        raise InputError(
+            f"{folder}: expected a folder of photographs, got {what}{hint}"
+        )
+    try:
+        entries = [e for e in sorted(folder.iterdir()) if not e.name.startswith(".")]
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
+    mask_file = mask_file or _own_mask(folder, entries)
+    if mask_file and not mask_file.is_file():
+        raise InputError(f"{mask_file}: expected a mask's image file, got no such file")
+    files, left_out = _photographs(folder, entries, mask_file)
+    if not files:
+        raise InputError(_nothing_found(folder, entries, left_out))
+    if max_images is not None and max_images < len(files):
+        drawn = np.random.default_rng(seed).choice(len(files), max_images, False)
+        reason = f"not among the {max_images} drawn with seed {seed}"
+        left_out[reason] = [f.name for i, f in enumerate(files) if i not in drawn]
+        files = [files[i] for i in sorted(drawn)]
+    return Selection(folder, tuple(files), left_out, mask_file)
+
+
+def read_photographs(
+    selection: Selection,
+    *,
+    track: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reads the photographs, one at a time, and the mask.
+
+    Args:
+        selection: what to read.
+        track: wraps the list of files, to show progress.
+
+    Returns:
+        images `[N, H, W, 3]` (RGB, in the files' own type: uint8, uint16 or float32;
+        gray replicated) and mask `[H, W]` (bool; at least one pixel).
+
+    Raises:
+        InputError: if a file cannot be used, sizes, types or orientations differ, the
+            mask is empty, or an image is black inside it.
+    """
+    first = selection.files[0]
+    require_one_orientation(selection)
+    images = mask = np.empty(0)
+    for i, file in enumerate(track(selection.files)):
+        image = read_image(file)
+        if i == 0:
+            mask = mask_for(selection, image.shape[:2])
+            images = np.empty((len(selection.files), *mask.shape, 3), image.dtype)
+        _require_alike(file, image, first, images)
+        images[i] = image
+        _require_light(file, images[i], mask)
+    return images, mask
+
+
+def mask_for(selection: Selection, shape: tuple[int, ...]) -> np.ndarray:
+    """The mask of photographs: `[H, W]` bool; all true where there is no mask file.
+
+    Args:
+        selection: the files.
+        shape: the photographs' height and width.
+
+    Raises:
+        InputError: if the mask cannot be read, is empty or has another size.
+    """
+    if selection.mask_file is None:
+        return np.ones(shape, bool)
+    mask = read_mask(selection.mask_file)
+    if mask.shape != shape:
+        turned = mask.shape == shape[::-1]
+        hint = "turn it by 90 degrees" if turned else "make it from a photograph"
+        raise InputError(
+            f"{selection.mask_file}: expected a mask of {_size(shape)} pixels as "
+            f"{selection.names[0]}, got {_size(mask.shape)}; {hint}"
+        )
+    return mask
+
+
+def folder_name(folder: Path) -> str:
+    """A folder's name as given (links are not followed), without ".data".
+
+    Bytes that are not Unicode are replaced by question marks.
+    """
+    name = os.fsencode(os.path.abspath(folder)).decode(errors="replace")  # noqa: PTH100
+    return Path(name).name.removesuffix(".data")
+
+
+def read_mask(file: Path) -> np.ndarray:
+    """Reads a mask: `[H, W]` bool, true where the first channel is above 0.
+
+    In a JPEG or a lossy WebP, whose compression leaves noise around the object, it must
+    be above half of full scale. An image of one colour whose transparency varies is
+    inside where it is not fully transparent.
+
+    Args:
+        file: an image of any supported format.
+
+    Raises:
+        InputError: if the file cannot be read, or nothing is inside.
+    """
+    image = read_image(file)
+    values = image[..., 0]
+    if (image == image[0, 0]).all():
+        opacity = read_opacity(file)
+        if opacity is not None and np.ptp(opacity):
+            values = opacity
+    floor = np.iinfo(image.dtype).max // 2 if is_lossy(file) else 0
+    mask = values > floor
+    if not mask.any():
+        raise InputError(
+            f"{file}: expected a mask with values above {floor} on the object, got at "
+            f"most {values.max()}; paint the object white, or remove the mask"
+        )
+    return mask
+
+
+def require_one_orientation(selection: Selection) -> None:
+    """Raises InputError if the photographs' EXIF orientations differ.
+
+    Args:
+        selection: the files.
+    """
+    files = selection.files
+    first = exif_orientation(files[0])
+    for file in files[1:]:
+        other = exif_orientation(file)
+        if other != first:
+            raise InputError(
+                f"{file}: expected EXIF orientation {first} as in {files[0].name}, got "
+                f"{other}; if the camera stood still, remove the tag from all files "
+                "(exiftool -Orientation= FILES), else leave this one out"
+            )
+
+
+def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
+    masks = [
+        e for e in entries if e.stem.lower() == "mask" and e.suffix.lower() in SUFFIXES
+    ]
+    if len(masks) > 1:
+        raise InputError(
+            f"{folder}: expected one mask, got {', '.join(m.name for m in masks)}; "
+            "keep one, or name it with --mask of `unips estimate`"
+        )
+    return masks[0] if masks else None
+
+
+def _photographs(
+    folder: Path, entries: list[Path], mask_file: Path | None
+) -> tuple[list[Path], dict[str, list[str]]]:
+    files: list[Path] = []
+    left_out: dict[str, list[str]] = {}
+    for entry in entries:
+        if entry.is_dir():
+            continue
+        suffix = entry.suffix.lower()
+        if mask_file is not None and entry.resolve() == mask_file.resolve():
+            continue
+        if suffix in _RAW_SUFFIXES:
+            left_out.setdefault(f"{suffix} is not read: export PNG or TIFF", []).append(
+                entry.name
+            )
+        elif suffix not in SUFFIXES:
+            left_out.setdefault("not an image", []).append(entry.name)
+        elif is_map(entry.name):
+            left_out.setdefault("a map or output, by its name", []).append(entry.name)
+        else:
+            files.append(entry)
+    if folder.resolve().suffix == ".data":
+        for prefix in ("L", "0"):
+            taken = [file for file in files if file.name.upper().startswith(prefix)]
+            if taken:
+                others = [file.name for file in files if file not in taken]
+                if others:
+                    left_out[f"not named {prefix}* in a .data folder"] = others
+                return taken, left_out
+    return files, left_out
+
+
+def _nothing_found(
+    folder: Path, entries: list[Path], left_out: dict[str, list[str]]
+) -> str:
+    text = f"{folder}: expected photographs ({', '.join(sorted(SUFFIXES))}), got none"
+    for reason, names in left_out.items():
+        text += f"; {len(names)} left out ({reason}), such as {names[0]}"
+    folders = [entry.name for entry in entries if entry.is_dir()]
+    if folders:
+        text += f"; it has folders, give those: {folder / folders[0]}"
+    return text
+
+
+def _require_alike(
+    file: Path, image: np.ndarray, first: Path, images: np.ndarray
+) -> None:
+    if image.shape[:2] != images.shape[1:3]:
+        raise InputError(
+            f"{file}: expected {_size(images.shape[1:3])} pixels as {first.name}, got "
+            f"{_size(image.shape)}; photographs of one object must be taken by one "
+            "camera that does not move: remove or re-export it"
+        )
+    if image.dtype != images.dtype:
+        raise InputError(
+            f"{file}: expected {images.dtype} pixels as {first.name}, got "
+            f"{image.dtype}; export all photographs in the same way"
+        )
+
+
+def _require_light(file: Path, image: np.ndarray, mask: np.ndarray) -> None:
+    if not image[mask].any():
+        inside = int(mask.sum())
+        raise InputError(
+            f"{file}: expected light on the object, got 0 at all {inside} pixels "
+            "inside the mask; remove the image, or check the mask"
+        )
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    """Width x height, as image programs write it."""
+    return f"{shape[1]} x {shape[0]}"

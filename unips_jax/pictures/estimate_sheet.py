@@ -1,0 +1,224 @@
+"""A picture to judge an estimate by: the inputs, the normals, and a turning light.
+
+Left: photographs. Middle: the normals in OpenGL colours. Right: the shape under eight
+lights, each tile lying on the side its light comes from; in their midst a sphere, the
+key to the normals' colours.
+"""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from unips_jax.io.color import srgb_encode
+from unips_jax.io.normals import write_png
+
+_TILE = 240
+_GAP = 8
+_BLOCK = 3 * _TILE + 2 * _GAP
+_EDGE = 28
+_HEADER = 84
+_BACKGROUND = (22, 24, 29)
+_LIGHT_ELEVATION_DEG = 40.0
+_AMBIENT = 0.03
+
+
+def write_sheet(
+    file: Path,
+    images: np.ndarray,
+    normals: np.ndarray,
+    mask: np.ndarray,
+    *,
+    title: str,
+    subtitle: str,
+    encoded: bool,
+) -> None:
+    """Writes the sheet as an image file.
+
+    Args:
+        file: where; the suffix gives the format.
+        images: `[N, H, W, 3]`, RGB, uint8, uint16 or float32.
+        normals: `[H, W, 3]`, unit length inside the mask.
+        mask: `[H, W]`, bool.
+        title: first line.
+        subtitle: second line.
+        encoded: the images are sRGB encoded already, so shown as they are.
+    """
+    view = _view(mask)
+    small_mask = _fit(mask[view].astype(np.float32)[..., None])
+    small_normals = _normalized(_fit(np.where(mask[view][..., None], normals[view], 0)))
+    large = _normalized(_fit(np.where(mask[view][..., None], normals[view], 0), _BLOCK))
+    large_mask = _fit(mask[view].astype(np.float32)[..., None], _BLOCK)
+    inputs = _inputs(images, view, encoded)
+    blocks = [
+        _grid(inputs),
+        _over_background((large + 1) / 2, large_mask),
+        _grid(_lit_tiles(small_normals, small_mask)),
+    ]
+    lines = [title, subtitle]
+    labels = [
+        f"{_shown(len(images))} of {len(images)} photographs",
+        "normals (red: right, green: up, blue: towards the viewer)",
+        "the shape under a light from each side; colour key",
+    ]
+    _save(file, _canvas(blocks), lines, labels)
+
+
+def shade(normals: np.ndarray, azimuth_deg: float) -> np.ndarray:
+    """Lambertian shading of white material: max(n . l, 0), `[H, W]`.
+
+    Args:
+        normals: `[H, W, 3]`.
+        azimuth_deg: side of the light, 0 right, 90 above; it stands 40 degrees above
+            the image plane.
+    """
+    azimuth, elevation = np.deg2rad([azimuth_deg, _LIGHT_ELEVATION_DEG])
+    light = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        np.float32,
+    )
+    return np.maximum(normals @ light, 0)
+
+
+def _view(mask: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of the mask's bounding box and a margin of 3%."""
+    view = []
+    for axis in (1, 0):
+        span = np.flatnonzero(mask.any(axis=axis))
+        low, high = int(span[0]), int(span[-1]) + 1
+        margin = 1 + (high - low) * 3 // 100
+        view.append(slice(max(low - margin, 0), high + margin))
+    return view[0], view[1]
+
+
+def _fit(image: np.ndarray, side: int = _TILE) -> np.ndarray:
+    """Scales to fit a square, keeping the aspect; zeros around. Float32."""
+    height, width = image.shape[:2]
+    scale = side / max(height, width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    small = cv2.resize(image, size, interpolation=how).astype(np.float32)
+    small = small.reshape(size[1], size[0], -1)
+    result = np.zeros((side, side, small.shape[-1]), np.float32)
+    top, left = (side - size[1]) // 2, (side - size[0]) // 2
+    result[top : top + size[1], left : left + size[0]] = small
+    return result
+
+
+def _normalized(normals: np.ndarray) -> np.ndarray:
+    return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
+
+
+def _shown(count: int) -> int:
+    return min(count, 9)
+
+
+def _inputs(
+    images: np.ndarray, view: tuple[slice, slice], encoded: bool
+) -> list[np.ndarray]:
+    chosen = np.linspace(0, len(images) - 1, _shown(len(images))).round().astype(int)
+    frame = _fit(np.ones((*images[0][view].shape[:2], 1), np.float32))
+    tiles = []
+    for i in chosen:
+        tile = _fit(images[i][view])
+        if images.dtype.kind == "u":
+            tile /= np.iinfo(images.dtype).max
+        if not encoded:
+            tile = srgb_encode(tile / max(float(np.percentile(tile, 99.5)), 1e-12))
+        tiles.append(_over_background(tile, frame))
+    return tiles
+
+
+def _lit_tiles(normals: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
+    """Nine tiles, row by row: eight lights around the colour key."""
+    tiles = []
+    for azimuth in (135, 90, 45, 180, None, 0, 225, 270, 315):
+        if azimuth is None:
+            tiles.append(_colour_key())
+        else:
+            light = _AMBIENT + (1 - _AMBIENT) * shade(normals, azimuth)
+            gray = np.repeat(srgb_encode(light)[..., None], 3, axis=-1)
+            tiles.append(_over_background(gray, mask))
+    return tiles
+
+
+def _colour_key() -> np.ndarray:
+    axis = (np.arange(_TILE) + 0.5) / _TILE * 2 - 1
+    x, y = np.meshgrid(axis / 0.62, -axis / 0.62)
+    squared = x**2 + y**2
+    z = np.sqrt(np.maximum(1 - squared, 0))
+    coverage = np.clip((1 - np.sqrt(squared)) * 0.31 * _TILE + 0.5, 0, 1)
+    normals = _normalized(np.stack([x, y, z], axis=-1))
+    return _over_background((normals + 1) / 2, coverage[..., None])
+
+
+def _over_background(colours: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+    """Colours in [0, 1] laid over the background: uint8."""
+    mixed = colours * 255 * coverage + np.array(_BACKGROUND) * (1 - coverage)
+    return np.clip(mixed + 0.5, 0, 255).astype(np.uint8)
+
+
+def _grid(tiles: Sequence[np.ndarray]) -> np.ndarray:
+    """At most nine tiles in as few rows and columns as hold them, row by row."""
+    side = max(1, int(np.ceil(len(tiles) ** 0.5)))
+    block = np.full((_BLOCK, _BLOCK, 3), _BACKGROUND, np.uint8)
+    tile_side = (_BLOCK - (side - 1) * _GAP) // side
+    for i, tile in enumerate(tiles):
+        top = (i // side) * (tile_side + _GAP)
+        left = (i % side) * (tile_side + _GAP)
+        if tile_side != _TILE:
+            tile = cv2.resize(
+                tile, (tile_side, tile_side), interpolation=cv2.INTER_CUBIC
+            )
+        block[top : top + tile_side, left : left + tile_side] = tile
+    return block
+
+
+def _canvas(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    height = _HEADER + _BLOCK + 2 * _EDGE
+    width = len(blocks) * (_BLOCK + _EDGE) + _EDGE
+    canvas = np.full((height, width, 3), _BACKGROUND, np.uint8)
+    for i, block in enumerate(blocks):
+        left = _EDGE + i * (_BLOCK + _EDGE)
+        canvas[_HEADER : _HEADER + _BLOCK, left : left + _BLOCK] = block
+    return canvas
+
+
+def _save(
+    file: Path, canvas: np.ndarray, lines: Sequence[str], labels: Sequence[str]
+) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height, width = canvas.shape[:2]
+    dpi = 100
+    figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi)
+    drawing = FigureCanvasAgg(figure)
+    figure.figimage(canvas, origin="upper")
+
+    def write(x: float, y: float, text: str, size: float, colour: str) -> None:
+        figure.text(
+            x / width,
+            1 - y / height,
+            text,
+            fontsize=size,
+            color=colour,
+            va="center",
+            parse_math=False,
+        )
+
+    write(_EDGE, 30, lines[0], 17, "#f2f2f2")
+    write(_EDGE, 60, lines[1], 11, "#a9adb8")
+    for i, label in enumerate(labels):
+        write(_EDGE + i * (_BLOCK + _EDGE), height - _EDGE, label, 11, "#a9adb8")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # characters that the font lacks
+        drawing.draw()
+    pixels = np.asarray(drawing.buffer_rgba())[..., 2::-1]  # BGR
+    write_png(file, pixels)

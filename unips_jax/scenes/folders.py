@@ -1,0 +1,183 @@
+"""Scenes as folders of photographs with known normals, and as a sheet to look at.
+
+The folders follow PS-Wild-Test: one per object and lighting, with 16-bit linear
+images `L_*.png`, `mask.png`, and `normal.tif` (n = 2 v / 65535 - 1, x right, y up,
+z to the viewer, background 32768); `meta.json` says what was drawn.
+Under directional light it holds `light_directions` and `light_intensities`, such that a
+Lambertian surface appears as albedo x intensity x max(n . l, 0).
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from unips_jax.console import track
+from unips_jax.errors import InputError
+from unips_jax.io.claims import claimed
+from unips_jax.io.ps_wild import write_folder, write_picture
+from unips_jax.provenance import code_hash
+from unips_jax.scenes import (
+    LIGHT_KINDS,
+    MATERIALS,
+    SHAPE_KINDS,
+    Scene,
+    SceneConfig,
+    render_batch,
+)
+
+_FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
+
+
+LIGHTINGS = ("directional", "environment", "mixed")
+
+
+_CODE = ("scenes.folders",)  # what the folders' contents follow from
+
+
+_FOLDER_CONFIG = SceneConfig(
+    linear_rate=1.0, eight_bit_rate=0.0, blur_rate=0.0, mask_error_rate=0.0
+)
+
+
+def describe(scene: Scene) -> dict[str, Any]:
+    """What was drawn, in plain values.
+
+    Args:
+        scene: one scene, without a batch axis.
+    """
+    focal_mm = float(scene.focal)
+    facts: dict[str, Any] = {
+        "light": LIGHT_KINDS[int(scene.light_kind)],
+        "shape": SHAPE_KINDS[int(scene.shape_kind)],
+        "material": MATERIALS[int(scene.material)],
+        "focal_mm": round(focal_mm, 3) or None,
+    }
+    if focal_mm:  # in pixels, as the evaluation reads it
+        facts["focal"] = focal_mm / _FRAME_MM * scene.mask.shape[-1]
+    if facts["light"] == "directional":
+        facts["light_directions"] = np.asarray(scene.light_directions).tolist()
+        # A Lambertian surface reflects its albedo / pi of the irradiance.
+        intensities = np.asarray(scene.light_intensities) / np.pi
+        facts["light_intensities"] = intensities.tolist()
+    return facts
+
+
+def render_folders(
+    out: Path, *, objects: int, images: int, size: int, seed: int
+) -> None:
+    """Writes `out/LIGHTING/objNNN.data` for every object and lighting.
+
+    Object K of a seed is always the same; folders that exist are kept. Several
+    processes may share the work.
+
+    Args:
+        out: the tree's root.
+        objects: how many.
+        images: per folder.
+        size: side in pixels, a multiple of 4.
+        seed: of the whole tree.
+
+    Raises:
+        InputError: if a folder is there that was rendered otherwise, or by other code.
+    """
+    options = {"seed": seed, "size": size, "images": images}
+    locks = out / ".locks"
+    locks.mkdir(parents=True, exist_ok=True)
+    folders = {
+        (index, name): out / name / f"obj{index:03d}.data"
+        for index in range(objects)
+        for name in LIGHTINGS
+    }
+    left = [job for job, folder in folders.items() if not _is_there(folder, options)]
+    ours = claimed(left, lambda job: locks / f"{job[1]}-{job[0]:03d}")
+    for index, name in track(ours, "rendering", total=len(left)):
+        folder = folders[index, name]
+        if _is_there(folder, options):  # another process was faster
+            continue
+        key = jax.random.fold_in(jax.random.key(seed), index)
+        batch = render_batch(
+            key[None],
+            size=size,
+            num_images=images,
+            config=_FOLDER_CONFIG,
+            light_kind=np.int32(LIGHT_KINDS.index(name)),
+        )
+        scene = jax.tree.map(lambda leaf: leaf[0], batch)
+        facts = {"seed": seed, "object": index, "size": size, **describe(scene)}
+        facts["code"] = code_hash(*_CODE)
+        photographs, mask, normals = map(
+            np.asarray, (scene.images, scene.mask, scene.normals)
+        )
+        write_folder(folder, photographs, mask, normals, facts)
+
+
+def _is_there(folder: Path, options: dict[str, int]) -> bool:
+    """Refuses a folder of another seed, size, number of photographs or code."""
+    if not folder.exists():
+        return False
+    try:
+        facts = json.loads((folder / "meta.json").read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{folder}: expected a folder that `unips render` wrote, got one whose "
+            f"meta.json cannot be read ({error}); choose another -o"
+        ) from None
+    facts["images"] = len(list(folder.glob("L_*")))
+    found = {name: facts.get(name) for name in options}
+    if found != options:
+        raise InputError(
+            f"{folder}: expected a folder of {options}, got one of {found}; choose "
+            "another -o, or the same options"
+        )
+    if facts.get("code") != code_hash(*_CODE):
+        raise InputError(
+            f"{folder}: expected scenes of this version of unips_jax, got those of "
+            "another; choose another -o"
+        )
+    return True
+
+
+def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:
+    """Tiles of a normal map and three images each.
+
+    Args:
+        scenes: with a batch axis and at least three images.
+        columns: tiles per row.
+
+    Returns:
+        RGB uint8.
+    """
+    normals = np.where(
+        np.asarray(scenes.mask)[..., None], 0.5 * np.asarray(scenes.normals) + 0.5, 0.25
+    )
+    images = np.asarray(scenes.images)
+    top = np.concatenate([normals, images[:, 0]], 2)
+    bottom = np.concatenate([images[:, 1], images[:, 2]], 2)
+    tiles = np.concatenate([top, bottom], 1)
+    tiles = np.pad(tiles, ((0, 0), (2, 2), (2, 2), (0, 0)), constant_values=0.5)
+    rows = [
+        np.concatenate(list(tiles[first : first + columns]), 1)
+        for first in range(0, len(tiles) - columns + 1, columns)
+    ]
+    return np.rint(np.clip(np.concatenate(rows), 0, 1) * 255).astype(np.uint8)
+
+
+def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
+    """Writes a contact sheet of random scenes.
+
+    Args:
+        path: of the picture.
+        size: side of each image in pixels.
+        seed: of the scenes.
+        scenes: how many; a multiple of 8.
+    """
+    batches = []
+    for first in track(range(0, scenes, 8), "rendering"):
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), first), 8)
+        batch = render_batch(keys, size=size, num_images=3)
+        batches.append(jax.tree.map(np.asarray, batch))
+    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
+    write_picture(path, contact_sheet(joined))

@@ -1,0 +1,1 @@
+"""Training: configuration, data, loss, optimiser, loop, checkpoints."""

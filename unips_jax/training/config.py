@@ -1,0 +1,236 @@
+"""The configuration of a training run, saved with every checkpoint."""
+
+import dataclasses
+from typing import Literal
+
+from unips_jax.checks import (
+    require,
+    require_choice,
+    require_not_negative,
+    require_positive,
+)
+from unips_jax.config import ModelConfig
+from unips_jax.scenes.config import SceneConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class DataConfig:
+    """What a training step sees.
+
+    Attributes:
+        source: scenes made on the device ("scenes"), PS-Wild folders ("folders"), or a
+            share of steps from each ("mixture").
+        root: the folder that holds the `X.data` folders.
+        scene_share: share of steps on scenes in a mixture.
+        image_size: side of the training images, in pixels.
+        frame: what the encoder's square surrounds: the whole "image", as in the paper,
+            or the "mask", as `estimate_normals` does unless told.
+        batch_size: objects per step, over all devices.
+        num_images: sizes of the sets; every step draws one of them for all its
+            objects. The paper draws from 2..10.
+        num_pixels: full-resolution pixels drawn per object (2500 in the paper; all
+            masked ones if there are fewer).
+        max_tokens: upper bound on set size times pixels drawn per object, to even out
+            the cost of large sets; 0: no bound.
+        grid_loss: also decode every pixel of the contexts' grid, the first of the
+            paper's two samplings.
+        augment: the paper's four augmentations. They turn images on their side and
+            upside down, so that a network cannot learn that skies and lamps are above;
+            configurations that train on endless scenes do without.
+        workers: processes that read folders; 0 reads in the training process.
+    """
+
+    source: Literal["scenes", "folders", "mixture"] = "folders"
+    root: str = ""
+    scene_share: float = 0.5
+    image_size: int = 512
+    frame: Literal["image", "mask"] = "image"
+    batch_size: int = 3
+    num_images: tuple[int, ...] = tuple(range(2, 11))
+    num_pixels: int = 2500
+    max_tokens: int = 0
+    grid_loss: bool = True
+    augment: bool = True
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        require_choice("source", self.source, ("scenes", "folders", "mixture"))
+        require_choice("frame", self.frame, ("image", "mask"))
+        require_positive(self, "image_size", "batch_size", "num_pixels")
+        require_not_negative(self, "max_tokens", "workers")
+        require(
+            len(self.num_images) > 0 and min(self.num_images) >= 1,
+            f"num_images: expected set sizes of at least 1, got {self.num_images}",
+        )
+        require(
+            self.image_size % 4 == 0,  # of scenes, which runs on folders validate on
+            f"image_size: expected a multiple of 4, got {self.image_size}",
+        )
+        require(
+            0 <= self.scene_share <= 1,
+            f"scene_share: expected a share in [0, 1], got {self.scene_share}",
+        )
+
+    def pixels_for(self, num_images: int) -> int:
+        """Full-resolution pixels drawn per object for sets of this size."""
+        if not self.max_tokens:
+            return self.num_pixels
+        return max(1, min(self.num_pixels, self.max_tokens // num_images))
+
+
+@dataclasses.dataclass(frozen=True)
+class OptimConfig:
+    """The optimiser and its schedule.
+
+    Attributes:
+        name: "adamw" (the paper's) or "muon" (orthogonalised momentum for kernels,
+            AdamW for the rest).
+        learning_rate: the highest learning rate.
+        schedule: "cosine" (to zero at the last step), "trapezoid" (constant, then
+            linearly to zero; from a checkpoint before the fall a run may be prolonged)
+            or "step" (the paper's decay).
+        warmup_steps: linear rise from zero.
+        fall_steps: length of the fall of "trapezoid"; 0: none.
+        decay_every: steps between two decays of "step" (the paper: 3 epochs).
+        decay_rate: factor of each decay.
+        weight_decay: on the kernels alone.
+        b2: decay of the second moments.
+        clip_norm: largest global norm of the gradient; 0: no clipping.
+        accumulate: microbatches per step.
+        ema_decay: of the averaged parameters that are validated and released; 0: none.
+    """
+
+    name: Literal["adamw", "muon"] = "adamw"
+    learning_rate: float = 1e-4
+    schedule: Literal["cosine", "trapezoid", "step"] = "step"
+    warmup_steps: int = 0
+    fall_steps: int = 0
+    decay_every: int = 10_099
+    decay_rate: float = 0.8
+    weight_decay: float = 0.05
+    b2: float = 0.999
+    clip_norm: float = 1.0
+    accumulate: int = 1
+    ema_decay: float = 0.999
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        require_choice("name", self.name, ("adamw", "muon"))
+        require_choice("schedule", self.schedule, ("cosine", "trapezoid", "step"))
+        require_positive(
+            self, "learning_rate", "decay_every", "decay_rate", "accumulate"
+        )
+        require_not_negative(
+            self, "warmup_steps", "fall_steps", "weight_decay", "clip_norm"
+        )
+        for name in ("b2", "ema_decay"):
+            decay = getattr(self, name)
+            require(0 <= decay < 1, f"{name}: expected a decay in [0, 1), got {decay}")
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshConfig:
+    """How devices are used.
+
+    Attributes:
+        data: devices along which the batch is split; 0: all that `fsdp` leaves.
+        fsdp: devices along which parameters and optimiser state are split too.
+    """
+
+    data: int = 0
+    fsdp: int = 1
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
+        require_positive(self, "fsdp")
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """Length, seed, loss and rhythm of a training run.
+
+    Attributes:
+        steps: length of the run.
+        seed: of parameters, data order, scenes and dropout.
+        squared_loss: of the distance between true and predicted normals (the paper's);
+            False takes the distance itself, which follows the mean angular error.
+        log_every: steps between metric lines, each of their means since the one before.
+        checkpoint_every: steps between checkpoints.
+        keep: how many checkpoints are kept.
+        validate_every: steps between validations.
+        validation_scenes: held-out scenes in a validation; 0: no validation.
+        validation_images: images of each.
+        keep_memory: keep what a step frees for the next (Linux). On CPU, a step of
+            `tiny` takes a quarter less time, and training half more memory.
+    """
+
+    steps: int = 67_327
+    seed: int = 0
+    squared_loss: bool = True
+    log_every: int = 20
+    checkpoint_every: int = 500
+    keep: int = 2
+    validate_every: int = 2000
+    validation_scenes: int = 64
+    validation_images: int = 8
+    keep_memory: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        require_positive(
+            self,
+            *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
+            "validation_images",
+        )
+        require_not_negative(self, "seed", "validation_scenes")
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """A training run.
+
+    Attributes:
+        model: the network.
+        data: what a step sees.
+        scenes: the distribution of scenes.
+        optim: the optimiser.
+        mesh: the devices.
+        train: length, loss and rhythm.
+    """
+
+    model: ModelConfig = ModelConfig()
+    data: DataConfig = DataConfig()
+    scenes: SceneConfig = SceneConfig()
+    optim: OptimConfig = OptimConfig()
+    mesh: MeshConfig = MeshConfig()
+    train: TrainConfig = TrainConfig()
+
+    def __post_init__(self) -> None:
+        """Checks what concerns several parts.
+
+        Raises:
+            ValueError: naming the fields, what was expected and what came.
+        """
+        require(
+            self.data.batch_size % self.optim.accumulate == 0,
+            f"accumulate: expected a divisor of batch_size={self.data.batch_size}, "
+            f"got {self.optim.accumulate}",
+        )

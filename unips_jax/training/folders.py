@@ -1,0 +1,83 @@
+"""Batches of training objects from disk, through grain.
+
+A batch follows from the seed and its number, whatever the number of processes and
+workers, so that a resumed run reads what it would have read.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import grain
+import numpy as np
+
+from unips_jax.io.ps_wild_objects import PSWildFolders, TrainingObject, read_object
+
+READ_AHEAD = 4  # batches held ready, each read by a thread of its own
+
+
+def draw_num_images(choices: tuple[int, ...], seed: int, step: int) -> int:
+    """The set size of a step, the same for all its objects."""
+    return int(np.random.default_rng((seed, step)).choice(choices))
+
+
+def folder_batches(
+    root: str,
+    *,
+    size: int,
+    batch_size: int,
+    num_images: tuple[int, ...],
+    seed: int,
+    first: int,
+    process: tuple[int, int] = (0, 1),
+    workers: int = 0,
+) -> Iterator[dict[str, np.ndarray]]:
+    """Endless batches of PS-Wild objects, shuffled anew every epoch.
+
+    Args:
+        root: see `PSWildFolders`.
+        size: side of the images.
+        batch_size: objects per step, over all processes.
+        num_images: the set sizes that steps draw from.
+        seed: of order, set sizes and choice of photographs.
+        first: batches to skip.
+        process: this process' number and the number of processes, which share a batch.
+        workers: reading processes; 0 reads in threads of this one.
+
+    Returns:
+        `images [B, N, size, size, 3]`, `mask [B, size, size]`,
+        `normals [B, size, size, 3]`, B being this process' share of the batch.
+
+    Raises:
+        InputError: if the folders do not fit.
+    """
+    source = PSWildFolders(Path(root), min_images=max(num_images))
+
+    share = batch_size // process[1]
+    mine = slice(process[0] * share, (process[0] + 1) * share)
+
+    def read(step: int, batch: list[TrainingObject]) -> dict[str, np.ndarray]:
+        count = draw_num_images(num_images, seed, step)
+        objects = []
+        for place, files in list(enumerate(batch))[mine]:
+            key = np.random.default_rng((seed, step, place))
+            chosen = key.permutation(len(files.photographs))[:count]
+            objects.append(read_object(files, chosen, size))
+        return {name: np.stack([x[name] for x in objects]) for name in objects[0]}
+
+    dataset = (
+        grain.MapDataset.source(source)  # type: ignore[arg-type]
+        .seed(seed)
+        .shuffle()
+        .repeat()
+        .batch(batch_size, drop_remainder=True, batch_fn=list)
+        .map_with_index(read)[first:]
+    )
+    # By default hundreds of batches are read ahead, by threads that starve this one.
+    ahead = grain.ReadOptions(num_threads=READ_AHEAD, prefetch_buffer_size=READ_AHEAD)
+    iterable = dataset.to_iter_dataset(ahead)
+    if workers:
+        from absl import flags
+
+        flags.FLAGS.mark_as_parsed()
+        iterable = iterable.mp_prefetch(grain.MultiprocessingOptions(workers))
+    return iter(iterable)

@@ -1,0 +1,115 @@
+"""What keeps a training run from harm: checks, a lock, and a way to stop it."""
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh
+
+from unips_jax.errors import InputError
+from unips_jax.io.claims import claim
+from unips_jax.training.config import Config
+from unips_jax.training.sharding import to_host
+from unips_jax.training.step import Batch
+
+
+def check_input(config: Config, mesh: Mesh) -> None:
+    """Checks that there is data, and that the devices can share it.
+
+    Args:
+        config: of the run.
+        mesh: its devices.
+
+    Raises:
+        InputError: naming the option, what was expected, what came and the fix.
+    """
+    data = config.data
+    if data.batch_size % mesh.size:
+        raise InputError(
+            f"--data.batch-size {data.batch_size}: expected a multiple of the "
+            f"{mesh.size} devices, which share a batch; change it, or take fewer "
+            "devices with --mesh.data"
+        )
+    if data.source != "scenes" and not data.root:
+        raise InputError(
+            "--data.root: expected the folder of the training data, got none; give "
+            "it, or train on scenes with --data.source scenes"
+        )
+
+
+@contextlib.contextmanager
+def alone_in(workdir: Path) -> Iterator[None]:
+    """Keeps other runs out of a folder until the block ends.
+
+    Raises:
+        InputError: if one is in it.
+    """
+    if jax.process_index() > 0:
+        yield
+        return
+    with claim(workdir / ".lock") as ours:
+        if not ours:
+            raise InputError(
+                f"--workdir {workdir}: expected a folder of this run's own, another "
+                "process trains there; wait for it or choose another"
+            )
+        yield
+
+
+@contextlib.contextmanager
+def stop_on_sigterm() -> Iterator[threading.Event]:
+    """Gives an event that is set once the process has been asked to stop."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop  # Python allows handlers in the main thread only.
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def any_process(flag: bool) -> bool:
+    """Whether any process says so; all get the same answer, and wait for each other.
+
+    Args:
+        flag: what this process says.
+    """
+    if jax.process_count() == 1:
+        return flag
+    return bool(multihost_utils.process_allgather(np.asarray(flag)).any())
+
+
+def check_finite(
+    step: int, batch: Batch, metrics: dict[str, jax.Array], workdir: Path
+) -> None:
+    """Saves the batch and ends the run if the step went wrong.
+
+    Args:
+        step: the step.
+        batch: what it saw.
+        metrics: what came out.
+        workdir: of the run.
+
+    Raises:
+        FloatingPointError: if loss or gradient are not finite.
+    """
+    loss = float(metrics["loss"])
+    if np.isfinite(loss) and np.isfinite(float(metrics["grad_norm"])):
+        return
+    path = workdir / f"nonfinite_step{step}.npz"
+    arrays = to_host(batch)
+    if jax.process_index() == 0:
+        np.savez(path, **arrays)
+    raise FloatingPointError(
+        f"step {step}: loss {loss} or its gradient is not finite; the batch is in "
+        f"{path}. The same run would come here again: choose another --workdir, a "
+        "lower --optim.learning-rate and, if there is one, --init-weights "
+        f"{workdir / 'best.safetensors'}"
+    )

@@ -1,0 +1,341 @@
+"""The training loss.
+
+Source: UniPS (Ikehata, CVPR 2022), Sec. 4.3 and supplement: squared distance between
+true and predicted unit normals, averaged over pixels, at two samplings, summed. The
+distance itself may be taken instead, which follows the mean angular error.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from unips_jax.config import ModelConfig
+from unips_jax.estimation.chunks import (
+    CHUNK_IMAGES,
+    CHUNK_TOKENS,
+    join_chunks,
+    map_chunks,
+    split_chunks,
+)
+from unips_jax.estimation.frame import (
+    FrameKind,
+    canonical_images,
+    normalize_images,
+    square_frame,
+)
+from unips_jax.models import ops
+from unips_jax.models.consensus import Guesses
+from unips_jax.models.unips import UniPS
+
+# What the guesses of a consensus weigh beside the normals.
+_GUESS_WEIGHTS = {"coarse": 0.5, "lights": 0.25}
+
+
+def squared_distance(predicted: Array, true: Array) -> Array:
+    """Squared distance of unit normals: `[..., 3]` to `[...]`, in [0, 4]."""
+    return jnp.sum(jnp.square(predicted - true), axis=-1)
+
+
+def plain_distance(squared: Array) -> Array:
+    """Distance of unit normals from its square, `[...]`, in [0, 2], smooth at zero."""
+    return jnp.sqrt(squared + 1e-3) - 1e-3**0.5
+
+
+def mean_weights(mask: Array) -> Array:
+    """Weights `[P]` of masked pixels in their mean; all zero for an empty mask."""
+    return mask / jnp.maximum(jnp.sum(mask), 1)
+
+
+def chunked_sum(
+    function: Callable[[Any, Any, Any], tuple[Array, Any]],
+    params: Any,
+    xs: Any,
+    constants: Any,
+    size: int | None,
+) -> tuple[Array, Any]:
+    """Sums a function over chunks of the leading axis, in bounded memory.
+
+    Where a derivative is asked for, each chunk's gradient is computed together with its
+    value, and the derivative is the product with it. So nothing of a chunk is kept or
+    recomputed, and all of it stays in cache.
+
+    Args:
+        function: of `params`, and of the chunks of `xs` and of `constants`; returns a
+            sum, and arrays with the chunk's leading axis.
+        params: differentiable.
+        xs: arrays `[P, ...]`, differentiable.
+        constants: arrays `[P, ...]`, taken as constants.
+        size: of the chunks, the last one padded with zeros; None: all at once.
+
+    Returns:
+        The sum, and the function's arrays, `[P, ...]`, without a derivative.
+    """
+    total = jax.tree.leaves(xs)[0].shape[0]
+    parts = split_chunks((xs, constants), size or total)
+    value, arrays = _chunked_sum(function, params, *parts)
+    return value, join_chunks(arrays, total)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _chunked_sum(
+    function: Any, params: Any, xs: Any, constants: Any
+) -> tuple[Array, Any]:
+    values, arrays = jax.lax.map(lambda part: function(params, *part), (xs, constants))
+    return jnp.sum(values), arrays
+
+
+@_chunked_sum.defjvp
+def _chunked_sum_jvp(function: Any, primals: Any, tangents: Any) -> Any:
+    params, *parts = primals
+    run = jax.value_and_grad(function, argnums=(0, 1), has_aux=True)
+
+    def add(total: Any, part: Any) -> tuple[Any, Any]:
+        (value, arrays), (by_params, by_x) = run(params, *part)
+        return jax.tree.map(jnp.add, total, (value, by_params)), (arrays, by_x)
+
+    zeros = jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)
+    (value, by_params), (arrays, by_xs) = jax.lax.scan(add, zeros, tuple(parts))
+    change = optax.tree.vdot((by_params, by_xs), tangents[:2])
+    still = jax.tree.map(jnp.zeros_like, arrays)
+    return (value, arrays), (change, still)
+
+
+def draw_pixels(mask: Array, count: int, key: Array) -> tuple[Array, Array]:
+    """Draws masked pixels uniformly, without replacement.
+
+    Args:
+        mask: `[H, W]`, bool.
+        count: how many.
+        key: for the draw.
+
+    Returns:
+        Indices `[count]` into the flattened image, and which of them are masked pixels,
+        `[count]`: fewer than `count` where the mask is smaller.
+    """
+    flat = mask.reshape(-1)
+    order = jnp.where(flat, jax.random.uniform(key, flat.shape), -1)
+    chosen, index = jax.lax.top_k(order, min(count, flat.size))
+    return index, chosen >= 0
+
+
+def training_loss(
+    params: Any,
+    images: Array,
+    mask: Array,
+    normals: Array,
+    keys: Array,
+    *,
+    config: ModelConfig,
+    num_pixels: int,
+    lights: Array | None = None,
+    frame: FrameKind = "image",
+    grid_loss: bool = True,
+    squared_loss: bool = True,
+    deterministic: bool = False,
+) -> tuple[Array, dict[str, Array]]:
+    """The mean loss of B objects, differentiable by the parameters.
+
+    The decoder's gradient is computed with its value, see `chunked_sum`. A network with
+    a consensus is also judged by its guesses of coarse normals and of the lights.
+
+    Args:
+        params: the network's parameters.
+        images: `[B, N, H, W, 3]`, linear, of any scale.
+        mask: `[B, H, W]`, bool.
+        normals: `[B, H, W, 3]`, unit length inside the mask.
+        keys: `[B]`, for pixels and dropout.
+        config: the network's configuration.
+        num_pixels: full-resolution pixels to draw.
+        lights: `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown.
+        frame: what the encoder's square surrounds, the "mask" or the whole "image".
+        grid_loss: include the sampling at the contexts' grid.
+        squared_loss: the distances of the normals are squared, as in the paper.
+        deterministic: no dropout.
+
+    Returns:
+        The loss, and metrics: the mean angular error in degrees over the drawn pixels,
+        and the mean distances of the guesses ("coarse", "lights") where there are any.
+    """
+    # On CPU the decoder's chunks are small: nothing to recompute.
+    on_cpu = jax.default_backend() == "cpu"
+    network = UniPS(dataclasses.replace(config, remat=config.remat and not on_cpu))
+    batch, num_images = images.shape[:2]
+    draws = jax.vmap(jax.random.split)(keys)  # [B, 2]
+    prepare = functools.partial(
+        _prepare,
+        config=config,
+        num_pixels=num_pixels,
+        frame_kind=frame,
+        grid_loss=grid_loss,
+    )
+    prepared = jax.vmap(prepare)(images, mask, normals, draws[:, 0])
+    encoder_key, decoder_key = jax.random.split(draws[0, 1])
+    contexts, guesses = _contexts(
+        params["encoder"],
+        prepared.inputs,
+        encoder_key,
+        config=config,
+        deterministic=deterministic,
+    )
+    zeros = config.context_sampling == "corner"
+    sample = jax.vmap(functools.partial(ops.bilinear_sample, zeros=zeros))
+    sampled = sample(contexts, prepared.rows, prepared.columns)  # [B, N, P, C]
+    if grid_loss:
+        cells = contexts.reshape(batch, num_images, -1, contexts.shape[-1])
+        sampled = jnp.concatenate([cells, sampled], axis=2)
+
+    def score(decoder: Any, sets: Any, truth: Any) -> tuple[Array, Array]:
+        """Weighted distances of a chunk's pixels, and cosines `[p, B]`."""
+        observed, sampled = (jnp.moveaxis(x, 0, 1) for x in sets)  # [B, p, N, C]
+        index, true, weights = truth
+        predicted: Any = network.apply(
+            {"params": {"decoder": decoder}},
+            observed,
+            sampled,
+            None,
+            deterministic,
+            method=lambda network, *inputs: network.decoder(*inputs),
+            rngs={"dropout": jax.random.fold_in(decoder_key, index[0])},
+        )
+        squared = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
+        loss = squared if squared_loss else plain_distance(squared)
+        return jnp.sum(weights * loss), 1 - squared / 2
+
+    true, weights = (jnp.swapaxes(x, 0, 1) for x in (prepared.true, prepared.weights))
+    loss, cosine = chunked_sum(
+        score,
+        params["decoder"],
+        tuple(x.transpose(2, 0, 1, 3) for x in (prepared.observed, sampled)),
+        (jnp.arange(len(true)), true, weights / batch),
+        max(1, CHUNK_TOKENS // (batch * num_images)) if on_cpu else None,
+    )
+    drawn = prepared.rows.shape[1]
+    error = jnp.rad2deg(jnp.arccos(jnp.clip(cosine[-drawn:], -1, 1)))
+    metrics = {"mae_deg": jnp.sum(weights[-drawn:] * error) / batch}
+    if guesses is not None:
+        losses = _guess_losses(guesses, mask, normals, lights, frame)
+        loss = loss + sum(_GUESS_WEIGHTS[name] * x for name, x in losses.items())
+        metrics |= losses
+    return loss, metrics
+
+
+def _contexts(
+    params: Any, inputs: Array, key: Array, *, config: ModelConfig, deterministic: bool
+) -> tuple[Array, Guesses | None]:
+    """The encoder of B objects: `[B, N, s, s, 4]` to `[B, N, s/4, s/4, C]`, guesses."""
+    # On CPU the compiler undoes rematerialisation everywhere but in loops.
+    loop = config.remat and jax.default_backend() == "cpu"
+    loop = loop and config.communication != "during"  # its images need each other
+    network = UniPS(dataclasses.replace(config, remat=config.remat and not loop))
+    batch, num_images = inputs.shape[:2]
+    options = None, deterministic, num_images
+
+    def run(method: str, key: Array, *inputs: Any) -> Any:
+        return network.apply(
+            {"params": {"encoder": params}},
+            *inputs,
+            method=lambda network, *inputs: getattr(network.encoder, method)(*inputs),
+            rngs={"dropout": key},
+        )
+
+    def extract(part: tuple[Array, Array]) -> Any:
+        tokens, index = part
+        return run("extract", jax.random.fold_in(key, index[0]), tokens, *options)
+
+    # Without `vmap` over objects: the gradients of plain products are faster.
+    related = run("relate", key, inputs)
+    tokens = run("embed", key, related.reshape(-1, *related.shape[2:]))
+    each = tokens, 1 + jnp.arange(len(tokens))
+    maps = map_chunks(extract, each, CHUNK_IMAGES) if loop else extract(each)
+    contexts = run("combine", jax.random.fold_in(key, 0), maps, *options)
+    contexts = contexts.reshape(batch, num_images, *contexts.shape[1:])
+    return run("agree", key, contexts)
+
+
+def _guess_losses(
+    guesses: Guesses,
+    mask: Array,
+    normals: Array,
+    lights: Array | None,
+    frame_kind: FrameKind,
+) -> dict[str, Array]:
+    """Mean distances of the guessed normals and lights from the true ones.
+
+    `mask [B, H, H]`, `normals [B, H, H, 3]` and `lights [B, N, 3]` are the true ones;
+    unknown lights are left out of the result.
+    """
+    grid = guesses.normals.shape[1]
+
+    def score(guess: Array, mask: Array, normals: Array) -> Array:
+        frame = square_frame(mask, frame_kind)
+        small = canonical_images(normals[None], mask, frame, grid)[0]
+        true, inside = ops.normalize(small[..., :3]), small[..., 3]
+        # A cell counts by its corner: its centre, whose normal it has, may be outside.
+        inside *= jnp.any(true != 0, axis=-1)
+        distance = plain_distance(squared_distance(ops.normalize(guess), true))
+        return jnp.sum(mean_weights(inside) * distance)
+
+    losses = {"coarse": jnp.mean(jax.vmap(score)(guesses.normals, mask, normals))}
+    if lights is not None:
+        squared = squared_distance(guesses.lights, lights)
+        losses["lights"] = jnp.mean(plain_distance(squared))
+    return losses
+
+
+class _Prepared(NamedTuple):
+    """What the network gets of one object, and the truth.
+
+    Pixels are P drawn ones, after the G cells of the contexts' grid if they count.
+    """
+
+    inputs: Array  # [N, s, s, 4]
+    observed: Array  # [N, G + P, 3]
+    rows: Array  # [P]
+    columns: Array  # [P]
+    true: Array  # [G + P, 3]
+    weights: Array  # [G + P], of the pixels in the loss
+
+
+def _prepare(
+    images: Array,
+    mask: Array,
+    normals: Array,
+    key: Array,
+    *,
+    config: ModelConfig,
+    num_pixels: int,
+    frame_kind: FrameKind,
+    grid_loss: bool,
+) -> _Prepared:
+    images = normalize_images(images, mask)
+    frame = square_frame(mask, frame_kind)
+    inputs = canonical_images(
+        images, mask, frame, config.canonical_size, config.antialias
+    )
+    index, drawn = draw_pixels(mask, num_pixels, key)
+    n, _, width, _ = images.shape
+    grid = config.canonical_size // 4
+    observed = jnp.take(images.reshape(n, -1, 3), index, axis=1)
+    true = jnp.take(normals.reshape(-1, 3), index, axis=0)
+    weights = mean_weights(drawn)
+    if grid_loss:
+        small = canonical_images(images, mask, frame, grid)
+        observed = jnp.concatenate([small[..., :3].reshape(n, -1, 3), observed], axis=1)
+        small_true = canonical_images(normals[None], mask, frame, grid)[0, ..., :3]
+        true = jnp.concatenate([ops.normalize(small_true).reshape(-1, 3), true])
+        weights = jnp.concatenate([mean_weights(small[0, ..., 3].reshape(-1)), weights])
+    offset = 0.5 if config.context_sampling == "center" else 0.0
+    return _Prepared(
+        inputs,
+        observed,
+        rows=(index // width - frame.top + offset) * grid / frame.side - 0.5,
+        columns=(index % width - frame.left + offset) * grid / frame.side - 0.5,
+        true=true,
+        weights=weights,
+    )

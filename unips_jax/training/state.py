@@ -1,0 +1,64 @@
+"""What a training step changes."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax.training.config import Config
+from unips_jax.training.optimizer import make_optimizer
+from unips_jax.weights import init_params
+
+
+class TrainState(NamedTuple):
+    """The state of a training run.
+
+    Attributes:
+        step: steps done, int32.
+        params: the network's parameters, float32.
+        opt_state: of the optimiser.
+        ema_params: averaged parameters; None without averaging.
+    """
+
+    step: Array
+    params: Any
+    opt_state: Any
+    ema_params: Any
+
+    def released_params(self) -> Any:
+        """The parameters to validate and release."""
+        return self.params if self.ema_params is None else self.ema_params
+
+
+def init_state(config: Config, key: Array) -> TrainState:
+    """The state training starts from; pure, so that it can be jitted.
+
+    Args:
+        config: of the run.
+        key: for the parameters.
+    """
+    params = init_params(config.model, key)
+    optimizer = make_optimizer(config.optim, config.train.steps)
+    return TrainState(
+        step=jnp.zeros((), jnp.int32),
+        params=params,
+        opt_state=optimizer.init(params),
+        ema_params=jax.tree.map(jnp.copy, params) if config.optim.ema_decay else None,
+    )
+
+
+def new_state(config: Config, key: Array, shardings: Any = None) -> TrainState:
+    """`init_state`, compiled; its program, as large as a step's, does not stay.
+
+    Args:
+        config: of the run.
+        key: for the parameters.
+        shardings: of the state; None for one device.
+
+    Returns:
+        The state, placed as the shardings say.
+    """
+    program = jax.jit(functools.partial(init_state, config), out_shardings=shardings)
+    return program(key)

@@ -1,0 +1,182 @@
+"""One training step: augment, losses and gradients, update, average."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from unips_jax.training.config import Config
+from unips_jax.training.loss import training_loss
+from unips_jax.training.optimizer import make_optimizer
+from unips_jax.training.state import TrainState
+
+Batch = dict[str, Array]
+
+
+def augment(
+    images: Array, mask: Array, normals: Array, lights: Array | None, key: Array
+) -> tuple[Array, Array, Array, Array | None]:
+    """The paper's four augmentations of one object, each with probability one half.
+
+    Args:
+        images: `[N, H, H, 3]`.
+        mask: `[H, H]`.
+        normals: `[H, H, 3]`.
+        lights: `[N, 3]`, mean directions, or None.
+        key: for the draws.
+
+    Returns:
+        The same, flipped left-right (n_x negated), up-down (n_y negated), transposed
+        (n becomes (-n_y, -n_x, n_z)), the lights with the normals, and with the colours
+        of each image permuted.
+
+    Source: UniPS (Ikehata, CVPR 2022), supplement.
+    """
+    flip_key, colour_key, order_key = jax.random.split(key, 3)
+    horizontal, vertical, transpose = jax.random.bernoulli(flip_key, 0.5, (3,))
+
+    def apply(scene: Any, when: Array, change: Any, turn: Any) -> Any:
+        images, mask, normals, lights = scene
+        turned = (
+            jax.vmap(change)(images),
+            change(mask),
+            turn(change(normals)),
+            None if lights is None else turn(lights),
+        )
+        return jax.tree.map(functools.partial(jnp.where, when), turned, scene)
+
+    scene = (images, mask, normals, lights)
+    signs = jnp.array([-1, 1, 1], normals.dtype)
+    scene = apply(scene, horizontal, lambda x: x[:, ::-1], lambda n: n * signs)
+    signs = jnp.array([1, -1, 1], normals.dtype)
+    scene = apply(scene, vertical, lambda x: x[::-1], lambda n: n * signs)
+    signs = jnp.array([-1, -1, 1], normals.dtype)
+    scene = apply(
+        scene,
+        transpose,
+        lambda x: jnp.swapaxes(x, 0, 1),
+        lambda n: n[..., jnp.array([1, 0, 2])] * signs,
+    )
+    images, mask, normals, lights = scene
+    n = images.shape[0]
+    orders = jax.vmap(lambda k: jax.random.permutation(k, 3))(
+        jax.random.split(order_key, n)
+    )
+    permuted = jax.random.bernoulli(colour_key, 0.5, (n,))
+    orders = jnp.where(permuted[:, None], orders, jnp.arange(3))
+    # As a product: gathers along the last axis are slow.
+    mixing = jax.nn.one_hot(orders, 3, dtype=images.dtype)  # [N, new, old]
+    return jnp.einsum("nhwc,ndc->nhwd", images, mixing), mask, normals, lights
+
+
+def batch_loss(
+    params: Any, batch: Batch, key: Array, *, config: Config
+) -> tuple[Array, dict[str, Array]]:
+    """Mean loss over a batch of objects.
+
+    Args:
+        params: the network's parameters.
+        batch: `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and
+            `lights [B, N, 3]` where they are known.
+        key: for augmentation, pixels and dropout.
+        config: of the run.
+
+    Returns:
+        The loss and the mean of the objects' metrics.
+    """
+    data = config.data
+    num_images = batch["images"].shape[1]
+
+    images, mask, normals = batch["images"], batch["mask"], batch["normals"]
+    lights = batch.get("lights")
+    keys = jax.random.split(key, (2, images.shape[0]))
+    if data.augment:
+        images, mask, normals, lights = jax.vmap(augment)(
+            images, mask, normals, lights, keys[0]
+        )
+    return training_loss(
+        params,
+        images,
+        mask,
+        normals,
+        keys[1],
+        lights=lights,
+        config=config.model,
+        num_pixels=data.pixels_for(num_images),
+        frame=data.frame,
+        grid_loss=data.grid_loss,
+        squared_loss=config.train.squared_loss,
+    )
+
+
+def train_step(
+    state: TrainState, batch: Batch, key: Array, *, config: Config
+) -> tuple[TrainState, dict[str, Array]]:
+    """Advances training by one step; pure.
+
+    Args:
+        state: before the step.
+        batch: see `batch_loss`.
+        key: the run's key; the step's own follows from `state.step`.
+        config: of the run.
+
+    Returns:
+        The state after it, and metrics: loss, mae_deg, grad_norm, and untrained, the
+        share of the parameters whose output has no gradient.
+    """
+    key = jax.random.fold_in(key, state.step)
+    gradient = jax.value_and_grad(
+        functools.partial(batch_loss, config=config), has_aux=True
+    )
+    if config.optim.accumulate == 1:
+        (loss, metrics), grads = gradient(state.params, batch, key)
+    else:
+        (loss, metrics), grads = _accumulate(
+            gradient, state.params, batch, key, config.optim.accumulate
+        )
+    optimizer = make_optimizer(config.optim, config.train.steps)
+    updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
+    params = optax.apply_updates(state.params, updates)
+    ema_params = state.ema_params
+    if ema_params is not None:
+        # Short memory at first, so that the average forgets the initial parameters.
+        decay = jnp.minimum(
+            config.optim.ema_decay, (1 + state.step) / (10 + state.step)
+        )
+        ema_params = optax.incremental_update(params, ema_params, 1 - decay)
+    metrics = {
+        "loss": loss,
+        "grad_norm": optax.tree.norm(grads),
+        "untrained": _untrained(grads),
+        **metrics,
+    }
+    return TrainState(state.step + 1, params, opt_state, ema_params), metrics
+
+
+def _untrained(grads: Any) -> Array:
+    """The share of the parameters that lead to an output without any gradient."""
+
+    def count(gradient: Array) -> Array:
+        off = jnp.all(gradient == 0, axis=range(gradient.ndim - 1))
+        return jnp.mean(off) * gradient.size
+
+    total = sum(g.size for g in jax.tree.leaves(grads))
+    return jax.tree.reduce(jnp.add, jax.tree.map(count, grads)) / total
+
+
+def _accumulate(gradient, params: Any, batch: Batch, key: Array, parts: int):
+    """Means of values and gradients over microbatches, one at a time."""
+    keys = jax.random.split(key, parts)
+    split = jax.tree.map(lambda x: x.reshape(parts, -1, *x.shape[1:]), batch)
+
+    def add(total, part):
+        return jax.tree.map(jnp.add, total, gradient(params, *part)), None
+
+    first = jax.tree.map(lambda x: x[0], (split, keys))
+    shapes = jax.eval_shape(gradient, params, *first)
+    zero = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    total, _ = jax.lax.scan(add, zero, (split, keys))
+    return jax.tree.map(lambda x: x / parts, total)

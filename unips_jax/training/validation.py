@@ -1,0 +1,155 @@
+"""Angular errors on held-out scenes, in groups.
+
+The scenes come from keys that training never uses. A constant normal towards the
+viewer is scored beside the network: a result near it means that something is broken.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from unips_jax.config import ModelConfig
+from unips_jax.console import track
+from unips_jax.estimation.pure import estimate_normals
+from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
+from unips_jax.pictures.maps import error_picture, normals_picture, photograph_picture
+from unips_jax.scenes import (
+    LIGHT_KINDS,
+    MATERIALS,
+    SHAPE_KINDS,
+    Scene,
+    SceneConfig,
+    render_scene,
+)
+from unips_jax.training.config import Config
+
+# Training keys are folded from small seeds; this one is apart from all of them.
+_HELD_OUT_SEED = 0x7E57
+
+_render = jax.jit(render_scene, static_argnames=("size", "num_images", "config"))
+
+
+def held_out_key(index: int) -> jax.Array:
+    """The key of held-out scene number `index`."""
+    return jax.random.fold_in(jax.random.key(_HELD_OUT_SEED), index)
+
+
+def estimate_held_out(
+    params: Any,
+    model: ModelConfig,
+    scenes: SceneConfig,
+    *,
+    count: int,
+    num_images: int,
+    size: int,
+    **scene_options: Any,
+) -> Iterator[tuple[Scene, jax.Array]]:
+    """Held-out scenes and their estimated normals; arguments as in `validate`."""
+    for index in range(count):
+        scene = _render(
+            held_out_key(index),
+            size=size,
+            num_images=num_images,
+            config=scenes,
+            **scene_options,
+        )
+        yield (
+            scene,
+            estimate_normals(params, scene.images, scene.mask, config=model),
+        )
+
+
+def validate(
+    params: Any,
+    model: ModelConfig,
+    scenes: SceneConfig,
+    *,
+    count: int,
+    num_images: int,
+    size: int,
+    description: str = "validating",
+    **scene_options: Any,
+) -> dict[str, float]:
+    """Scores a network on held-out scenes.
+
+    Args:
+        params: the network's parameters.
+        model: its configuration.
+        scenes: the distribution of scenes.
+        count: how many scenes.
+        num_images: images of each; the scenes' objects do not depend on it.
+        size: side of the images in pixels.
+        description: shown with the progress.
+        **scene_options: passed to `render_scene`, such as `light_kind`.
+
+    Returns:
+        Mean angular errors in degrees: "mae" over all scenes, "constant" for a normal
+        towards the viewer, and one per group, such as "light/directional".
+    """
+    errors: dict[str, list[float]] = {}
+    held_out = estimate_held_out(
+        params,
+        model,
+        scenes,
+        count=count,
+        num_images=num_images,
+        size=size,
+        **scene_options,
+    )
+    for scene, normals in track(held_out, description, total=count):
+        error = float(mean_angular_error_deg(normals, scene.normals, scene.mask))
+        constant = mean_angular_error_deg(
+            jnp.array([0.0, 0.0, 1.0]), scene.normals, scene.mask
+        )
+        errors.setdefault("constant", []).append(float(constant))
+        for name in ("mae", *_groups(scene)):
+            errors.setdefault(name, []).append(error)
+    return {name: float(np.mean(values)) for name, values in sorted(errors.items())}
+
+
+def validation_pictures(
+    params: Any, config: Config, count: int = 4
+) -> dict[str, np.ndarray]:
+    """Rows of an image, the true normals, the estimate and its error map.
+
+    Args:
+        params: the network's parameters.
+        config: of the run.
+        count: how many held-out scenes.
+
+    Returns:
+        A picture `[H, 4 H, 3]`, uint8, for each scene by its name.
+    """
+    held_out = estimate_held_out(
+        params,
+        config.model,
+        config.scenes,
+        count=count,
+        num_images=config.train.validation_images,
+        size=config.data.image_size,
+    )
+    rows = {}
+    for index, (scene, normals) in enumerate(held_out):
+        mask, true = np.asarray(scene.mask), np.asarray(scene.normals)
+        error = np.asarray(angular_error_deg(normals, true))
+        tiles = [
+            photograph_picture(np.asarray(scene.images[0]), mask),
+            normals_picture(true, mask),
+            normals_picture(np.asarray(normals), mask),
+            error_picture(error, mask),
+        ]
+        rows[f"validation/scene{index}"] = np.concatenate(tiles, axis=1)
+    return rows
+
+
+def _groups(scene: Scene) -> list[str]:
+    camera = "perspective" if scene.focal > 0 else "orthographic"
+    return [
+        f"light/{LIGHT_KINDS[int(scene.light_kind)]}",
+        f"material/{MATERIALS[int(scene.material)]}",
+        f"shape/{SHAPE_KINDS[int(scene.shape_kind)]}",
+        f"camera/{camera}",
+    ]
