@@ -33,7 +33,7 @@ def test_exif_orientation_is_applied_as_viewers_do(tmp_path):
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[3:9, 4:30] = 255
     save(tmp_path / "mask.png", mask)  # drawn over the picture as shown
-    images, read = read_photographs(select(tmp_path))
+    images, read, _ = read_photographs(select(tmp_path))
     assert np.abs(images[0].astype(int) - upright).max() <= 4
     np.testing.assert_array_equal(read, mask > 0)
 

@@ -1,5 +1,6 @@
 """Reading photographs: formats, choice of files, masks, and bad files."""
 
+import inspect
 import struct
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import OpenEXR
 import pytest
 
 from unips_jax.errors import InputError
+from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.io.images import SUFFIXES, read_image
 from unips_jax.io.photographs import is_map, read_mask, read_photographs, select
 
@@ -85,10 +87,25 @@ def test_gray_is_replicated_and_alpha_dropped(tmp_path, dtype):
     picture = smooth(dtype)
     save(tmp_path / "a.png", picture[..., 0])
     save(tmp_path / "b.png", np.dstack([picture, picture[..., :1] // 2]))
-    images, mask = read_photographs(select(tmp_path))
+    images, mask, _ = read_photographs(select(tmp_path))
     np.testing.assert_array_equal(images[0], np.repeat(picture[..., :1], 3, axis=-1))
     np.testing.assert_array_equal(images[1], picture)
     assert mask.all() and mask.shape == (HEIGHT, WIDTH)
+
+
+def test_a_folders_path_is_enough(tmp_path):
+    """And gives the arguments of `estimate_photographs`."""
+    for name in "ab":
+        save(tmp_path / f"{name}.png", smooth(np.uint16, ord(name)))
+    expected = read_photographs(select(tmp_path))
+    for source in (tmp_path, str(tmp_path)):
+        photographs = read_photographs(source)
+        np.testing.assert_array_equal(photographs.images, expected.images)
+        assert photographs.mask.all() and photographs.transfer == "linear"
+    takes = inspect.signature(estimate_photographs).parameters
+    assert list(takes)[1:3] == ["images", "mask"] and "transfer" in takes
+    with pytest.raises(InputError, match="none: expected a folder of photographs"):
+        read_photographs(tmp_path / "none")
 
 
 def test_exr_layers_half_and_luminance(tmp_path):

@@ -4,15 +4,31 @@ Normals from photographs of one object under arbitrary, unknown, changing light:
 "Universal Photometric Stereo Network using Global Lighting Contexts" (Ikehata,
 CVPR 2022).
 
+    config, params = unips_jax.load_weights("tiny")
+    images, mask, transfer = unips_jax.read_photographs("photographs/")
+    normals = unips_jax.estimate_photographs(
+        params, images, mask, transfer=transfer, config=config
+    )
+
 Conventions everywhere: arrays are channels-last, row 0 is the top of the image;
 normals are unit vectors in the camera frame, x right, y up, z towards the viewer, and
 zero outside the mask.
+
+The names below are imported when they are first used, each with what it needs alone:
+reading photographs needs no JAX, estimating normals no scene renderer.
 """
 
-from unips_jax.config import ModelConfig
-from unips_jax.estimation.pure import estimate_normals
-from unips_jax.metrics import angular_error_deg
-from unips_jax.weights import load_weights
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from unips_jax.config import ModelConfig
+    from unips_jax.estimation.pure import estimate_normals
+    from unips_jax.estimation.streaming import estimate_photographs
+    from unips_jax.io.photographs import read_photographs
+    from unips_jax.metrics import angular_error_deg
+    from unips_jax.scenes.render import render_scene
+    from unips_jax.weights import load_weights
 
 __version__ = "0.1.0"
 
@@ -21,5 +37,36 @@ __all__ = [
     "__version__",
     "angular_error_deg",
     "estimate_normals",
+    "estimate_photographs",
     "load_weights",
+    "read_photographs",
+    "render_scene",
 ]
+
+_MODULES = {
+    "ModelConfig": "config",
+    "angular_error_deg": "metrics",
+    "estimate_normals": "estimation.pure",
+    "estimate_photographs": "estimation.streaming",
+    "load_weights": "weights",
+    "read_photographs": "io.photographs",
+    "render_scene": "scenes.render",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name from its module, once.
+
+    Raises:
+        AttributeError: for other names.
+    """
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The module's names, those not yet imported too."""
+    return sorted({*globals(), *_MODULES})

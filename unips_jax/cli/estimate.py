@@ -24,7 +24,7 @@ from unips_jax.config import ModelConfig
 from unips_jax.console import command, keep_compiled, progress, track
 from unips_jax.errors import InputError
 from unips_jax.io.advice import capture_warnings
-from unips_jax.io.color import Transfer, usual_transfer
+from unips_jax.io.color import Transfer
 from unips_jax.io.normals import (
     NormalMap,
     appearing_at_once,
@@ -277,12 +277,11 @@ def _read(selection: Selection, arguments: argparse.Namespace) -> _Capture:
     if arguments.reader == "official":
         images, mask, _ = read_official(selection, size=arguments.size or 512)
         return _Capture(images, mask, "linear")
-    images, mask = read_photographs(
+    images, mask, transfer = read_photographs(
         selection, track=functools.partial(track, description="reading photographs")
     )
-    transfer = arguments.transfer
-    if transfer == "auto":
-        transfer = usual_transfer(images.dtype)
+    if arguments.transfer != "auto":
+        transfer = arguments.transfer
     return _Capture(images, mask, transfer)
 
 

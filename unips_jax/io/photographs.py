@@ -15,11 +15,12 @@ import os
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.color import Transfer, usual_transfer
 from unips_jax.io.exif import exif_orientation
 from unips_jax.io.images import SUFFIXES, is_lossy, read_image, read_opacity
 
@@ -52,6 +53,21 @@ class Selection:
     def names(self) -> tuple[str, ...]:
         """The photographs' file names."""
         return tuple(file.name for file in self.files)
+
+
+class Photographs(NamedTuple):
+    """Photographs in memory, as `estimate_photographs` takes them.
+
+    Attributes:
+        images: `[N, H, W, 3]`, RGB in the files' own type: uint8, uint16 or float32;
+            gray is replicated.
+        mask: `[H, W]`, bool, with at least one pixel.
+        transfer: how the values encode light, by the files' type.
+    """
+
+    images: np.ndarray
+    mask: np.ndarray
+    transfer: Transfer
 
 
 def is_map(name: str) -> bool:
@@ -110,24 +126,30 @@ def select(
 
 
 def read_photographs(
-    selection: Selection,
+    source: Selection | str | os.PathLike[str],
     *,
     track: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Reads the photographs, one at a time, and the mask.
+) -> Photographs:
+    """Reads the photographs of an object, one at a time, and its mask.
+
+    `images, mask, transfer = read_photographs("folder/")` gives what
+    `estimate_photographs(params, images, mask, transfer=transfer, config=config)`
+    takes.
 
     Args:
-        selection: what to read.
+        source: a folder of photographs, or which of its files (`select`).
         track: wraps the list of files, to show progress.
 
     Returns:
         images `[N, H, W, 3]` (RGB, in the files' own type: uint8, uint16 or float32;
-        gray replicated) and mask `[H, W]` (bool; at least one pixel).
+        gray replicated), mask `[H, W]` (bool; at least one pixel), and how the values
+        encode light: "srgb" or "linear".
 
     Raises:
         InputError: if a file cannot be used, sizes, types or orientations differ, the
             mask is empty, or an image is black inside it.
     """
+    selection = source if isinstance(source, Selection) else select(Path(source))
     first = selection.files[0]
     require_one_orientation(selection)
     images = mask = np.empty(0)
@@ -139,7 +161,7 @@ def read_photographs(
         _require_alike(file, image, first, images)
         images[i] = image
         _require_light(file, images[i], mask)
-    return images, mask
+    return Photographs(images, mask, usual_transfer(images.dtype))
 
 
 def mask_for(selection: Selection, shape: tuple[int, ...]) -> np.ndarray:

@@ -104,7 +104,8 @@ def _read(entry: Entry, shape: tuple[int, ...]) -> np.ndarray:
     """The photographs as stored, `[N, H, W, 3]`."""
     first = entry.images[0]
     mask_file = entry.files[1] if len(entry.files) > 1 else None
-    stack, mask = read_photographs(Selection(first.parent, entry.images, {}, mask_file))
+    selection = Selection(first.parent, entry.images, {}, mask_file)
+    stack, mask, _ = read_photographs(selection)
     if mask.shape != tuple(shape):
         raise InputError(
             f"{first}: expected {shape[1]} x {shape[0]} pixels as "
