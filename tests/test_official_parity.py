@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import zlib
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +19,12 @@ from unips_jax.models.unips import UniPS
 from unips_jax.training.loss import training_loss
 from unips_jax.weights import from_official, official_name
 
+GOLDEN = Path(__file__).parent / "golden"
 
-def official_arrays(shared_dir) -> dict[str, np.ndarray]:
+
+def official_arrays() -> dict[str, np.ndarray]:
     """The deterministic weights the golden arrays were made with."""
-    shapes = json.loads((shared_dir / "golden/unips_official_keys.json").read_text())
+    shapes = json.loads((GOLDEN / "unips_official_keys.json").read_text())
     arrays = {}
     for key, shape in shapes.items():
         x = np.random.default_rng(zlib.crc32(key.encode())).standard_normal(shape)
@@ -37,14 +40,14 @@ def official_arrays(shared_dir) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def official(shared_dir):
-    config, params = from_official(official_arrays(shared_dir))
+def official():
+    config, params = from_official(official_arrays())
     return dataclasses.replace(config, canonical_size=64), params
 
 
 @pytest.fixture(scope="module")
-def golden(shared_dir):
-    with np.load(shared_dir / "golden/unips_official.npz") as arrays:
+def golden():
+    with np.load(GOLDEN / "unips_official.npz") as arrays:
         return dict(arrays)
 
 

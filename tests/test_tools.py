@@ -27,12 +27,12 @@ def convert():
 
 
 @pytest.mark.parametrize("prefix", ["module.", ""])
-def test_unips(convert, shared_dir, tmp_path, prefix):
+def test_unips(convert, tmp_path, prefix):
     import torch
 
     parts = {"encoder": "enc", "aggregation": "agg", "prediction": "pred"}
     states = {part: {} for part in parts}
-    for name, array in official_arrays(shared_dir).items():
+    for name, array in official_arrays().items():
         part, key = name.split(".", 1)
         key = prefix + key.removeprefix("module.")
         states[part][key] = torch.from_numpy(array)

@@ -5,8 +5,8 @@
 One file for each arithmetic of set attention. Weights and inputs follow from their
 names alone; the files hold contexts, normals, the loss and the norm of its gradient
 with respect to every parameter. Run it again only for a change that is meant to change
-results. (That the network is the authors' is checked against their own arrays, in
-`tests/test_official_parity.py`.)
+results. (That the network is the authors' is checked against their own arrays,
+`unips_official.npz` beside them, in `tests/test_official_parity.py`.)
 """
 
 import argparse
