@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from unips_jax.baselines import calibrated, constant, pixels
-from unips_jax.baselines.method import Lights, Unsupported
+from unips_jax.baselines.method import Lights, Observed, Unsupported
 from unips_jax.metrics import mean_angular_error_deg
 
 METHODS = {
@@ -59,7 +59,7 @@ def test_exact_without_shadows(name):
     lights = lights_around(24)
     images = render(normals, albedo, lights)
     assert (images[:, mask] > 0).all()
-    predicted = METHODS[name]()(images, mask, lights=lights)
+    predicted = METHODS[name]()(Observed(images, mask, lights=lights))
     error = float(mean_angular_error_deg(predicted, normals, mask))
     print(f"{name}: {error:.5f} degrees")
     assert error < 0.1
@@ -85,11 +85,13 @@ def test_outliers_are_resisted_in_the_expected_order():
     images, normals, mask, lights = outliers()
     error = {
         name: float(
-            mean_angular_error_deg(make()(images, mask, lights=lights), normals, mask)
+            mean_angular_error_deg(
+                make()(Observed(images, mask, lights=lights)), normals, mask
+            )
         )
         for name, make in METHODS.items()
     }
-    trimmed = calibrated.woodham(keep=(0.2, 0.8))(images, mask, lights=lights)
+    trimmed = calibrated.woodham(keep=(0.2, 0.8))(Observed(images, mask, lights=lights))
     error["trimmed"] = float(mean_angular_error_deg(trimmed, normals, mask))
     print({name: round(value, 2) for name, value in error.items()})
     assert error["woodham"] > 5
@@ -108,7 +110,7 @@ def test_light_from_above_brightens_upward_normals():
     mean = images[..., 0].mean(0) / albedo[..., 0]
     assert mean[4, 16] > mean[16, 16] > mean[28, 16]  # brighter at the image's top
     for make in METHODS.values():
-        predicted = make()(images, mask, lights=above)
+        predicted = make()(Observed(images, mask, lights=above))
         assert (predicted[:12, 12:20, 1][mask[:12, 12:20]] > 0).all()
         assert (predicted[12:20, -12:, 0][mask[12:20, -12:]] > 0).all()
 
@@ -121,7 +123,7 @@ def test_published_recipe_divides_takes_luma_and_clips():
     mask = np.ones((1, 1), bool)
     luma = (pixel / lights.intensities) @ [0.299, 0.587, 0.114]
     expected = np.minimum(luma, 1)
-    predicted = calibrated.woodham_diligent()(images, mask, lights=lights)
+    predicted = calibrated.woodham_diligent()(Observed(images, mask, lights=lights))
     np.testing.assert_allclose(
         predicted[0, 0], expected / np.linalg.norm(expected), atol=1e-6
     )
@@ -138,7 +140,7 @@ def test_shadow_threshold_and_ranks_recover_a_shadowed_sphere():
         "shadow": {"shadow": 0.01},
         "strongest": {"shadow": 0.01, "colour": "strongest"},
     }.items():
-        predicted = calibrated.woodham(**options)(images, mask, lights=lights)
+        predicted = calibrated.woodham(**options)(Observed(images, mask, lights=lights))
         errors[name] = float(mean_angular_error_deg(predicted, normals, mask))
     print(errors)
     assert errors["plain"] > 1
@@ -151,8 +153,8 @@ def test_scale_does_not_matter(name):
     images, _, mask, lights = outliers()
     images = images[:10]
     lights = Lights(lights.directions[:10], lights.intensities[:10])
-    one = METHODS[name]()(images, mask, lights=lights)
-    other = METHODS[name]()(images * 4096, mask, lights=lights)
+    one = METHODS[name]()(Observed(images, mask, lights=lights))
+    other = METHODS[name]()(Observed(images * 4096, mask, lights=lights))
     np.testing.assert_allclose(one, other, atol=1e-4)
 
 
@@ -186,11 +188,11 @@ def test_split_recovers_a_planted_low_rank_matrix():
 def test_constant_faces_the_viewer():
     normals, mask, albedo = cap(16)
     images = render(normals, albedo, lights_around(1))
-    predicted = constant.constant()(images, mask)
+    predicted = constant.constant()(Observed(images, mask))
     np.testing.assert_array_equal(predicted[mask], [[0, 0, 1]] * mask.sum())
     assert (predicted[~mask] == 0).all()
     with pytest.raises(Unsupported, match="mask of the object"):
-        constant.constant()(images, mask & False)
+        constant.constant()(Observed(images, mask & False))
 
 
 def test_refusals():
@@ -199,19 +201,21 @@ def test_refusals():
     images = render(normals, albedo, lights)
     method = calibrated.woodham()
     with pytest.raises(Unsupported, match="needs known lights"):
-        method(images, mask)
+        method(Observed(images, mask))
     with pytest.raises(Unsupported, match="at least 3 images, got 2"):
-        method(images[:2], mask, lights=Lights(*(part[:2] for part in lights)))
+        method(
+            Observed(images[:2], mask, lights=Lights(*(part[:2] for part in lights)))
+        )
     with pytest.raises(Unsupported, match="mask of the object"):
-        method(images, np.zeros_like(mask), lights=lights)
+        method(Observed(images, np.zeros_like(mask), lights=lights))
     flat = Lights(lights.directions * [1, 0, 1], lights.intensities)
     with pytest.raises(Unsupported, match="one plane"):
-        method(images, mask, lights=flat)
+        method(Observed(images, mask, lights=flat))
     with pytest.raises(Unsupported, match="black or not finite"):
-        method(images * np.nan, mask, lights=lights)
+        method(Observed(images * np.nan, mask, lights=lights))
     with pytest.raises(ValueError, match="expected images"):
-        method(images, mask[:-1], lights=lights)
+        method(Observed(images, mask[:-1], lights=lights))
     with pytest.raises(ValueError, match="expected directions"):
-        method(images[:-1], mask, lights=lights)
+        method(Observed(images[:-1], mask, lights=lights))
     with pytest.raises(ValueError, match="keep"):
         calibrated.woodham(keep=(0.8, 0.2))

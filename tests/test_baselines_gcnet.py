@@ -23,7 +23,7 @@ from unips_jax.baselines.gcnet import model
 from unips_jax.baselines.gcnet import (
     weights as gcnet_weights,
 )
-from unips_jax.baselines.method import Lights, Unsupported
+from unips_jax.baselines.method import Lights, Observed, Unsupported
 from unips_jax.errors import InputError
 
 soft_lights = jax.jit(gcnet_lights.soft_lights)
@@ -325,13 +325,14 @@ def sphere(size=48, count=5):
 def test_order_of_images_does_not_matter(params, network):
     images, mask, _ = sphere()
     order = np.array([3, 0, 4, 2, 1])
-    one = gcnet.estimate_lights(params[network], images, mask)
-    other = gcnet.estimate_lights(params[network], images[order], mask)
+    one = gcnet.estimate_lights(params[network], Observed(images, mask))
+    other = gcnet.estimate_lights(params[network], Observed(images[order], mask))
     for a, b in zip(one, other, strict=True):
         np.testing.assert_allclose(a[order], b, rtol=1e-5, atol=1e-5)
     make = {"gcnet": gcnet.gcnet, "lcnet": gcnet.lcnet}[network]
     method = make(params[network], normals=gcnet.ps_fcn(params["ps_fcn"]))
-    first, second = method(images, mask).normals, method(images[order], mask).normals
+    first = method(Observed(images, mask)).normals
+    second = method(Observed(images[order], mask)).normals
     np.testing.assert_allclose(first, second, atol=2e-5)
     np.testing.assert_allclose(np.linalg.norm(first[mask], axis=-1), 1, atol=1e-5)
     assert (first[~mask] == 0).all()
@@ -340,8 +341,12 @@ def test_order_of_images_does_not_matter(params, network):
 def test_chunks_of_images_do_not_matter(params):
     images, mask, directions = sphere(46)  # sides are padded to a multiple of 4
     lights = Lights(directions, np.ones((5, 3)))
-    whole = gcnet.ps_fcn(params["ps_fcn"], chunk=8)(images, mask, lights=lights)
-    parts = gcnet.ps_fcn(params["ps_fcn"], chunk=2)(images, mask, lights=lights)
+    whole = gcnet.ps_fcn(params["ps_fcn"], chunk=8)(
+        Observed(images, mask, lights=lights)
+    )
+    parts = gcnet.ps_fcn(params["ps_fcn"], chunk=2)(
+        Observed(images, mask, lights=lights)
+    )
     np.testing.assert_allclose(parts, whole, atol=1e-5)
 
 
@@ -365,10 +370,10 @@ def test_normalisations():
 def test_intensities_refer_to_the_given_images(params):
     """Per image, exposures vanish for the network and come back in its answer."""
     images, mask, _ = sphere()
-    one = gcnet.estimate_lights(params["gcnet"], images, mask)
+    one = gcnet.estimate_lights(params["gcnet"], Observed(images, mask))
     gain = np.array([1.0, 2.0, 0.5, 4.0, 3.0], np.float32)
     other = gcnet.estimate_lights(
-        params["gcnet"], images * gain[:, None, None, None], mask
+        params["gcnet"], Observed(images * gain[:, None, None, None], mask)
     )
     np.testing.assert_allclose(other.directions, one.directions, atol=1e-5)
     np.testing.assert_allclose(
@@ -393,11 +398,13 @@ def test_errors_of_lights():
 
 def test_lights_feed_any_calibrated_method(params):
     images, mask, _ = sphere()
-    found = gcnet.estimate_lights(params["gcnet"], images, mask)
-    expected = calibrated.woodham()(images, mask, lights=found)
+    found = gcnet.estimate_lights(params["gcnet"], Observed(images, mask))
+    expected = calibrated.woodham()(Observed(images, mask, lights=found))
     method = gcnet.gcnet(params["gcnet"], normals=calibrated.woodham())
-    np.testing.assert_allclose(method(images, mask).normals, expected, atol=1e-6)
-    measured = method(images, mask, lights=found).measures
+    np.testing.assert_allclose(
+        method(Observed(images, mask)).normals, expected, atol=1e-6
+    )
+    measured = method(Observed(images, mask, lights=found)).measures
     assert measured == {
         "light direction error (degrees)": pytest.approx(0, abs=0.05)
     } | {"light intensity error (relative)": pytest.approx(0, abs=1e-6)}
@@ -415,7 +422,7 @@ def test_small_networks_of_the_same_design_work():
     params = jax.tree.map(
         lambda leaf: (0.1 * rng.standard_normal(leaf.shape)).astype(np.float32), shapes
     )
-    lights = gcnet.estimate_lights(params, images, mask)
+    lights = gcnet.estimate_lights(params, Observed(images, mask))
     assert lights.directions.shape == lights.intensities.shape == (5, 3)
     assert (lights.directions[:, 2] > 0).all()
 
@@ -424,20 +431,20 @@ def test_refusals(tmp_path, params):
     images, mask, directions = sphere()
     lights = Lights(directions, np.ones((5, 3)))
     with pytest.raises(Unsupported, match="GCNet.pth"):
-        gcnet.gcnet()(images, mask)
+        gcnet.gcnet()(Observed(images, mask))
     with pytest.raises(Unsupported, match="LCNet_CVPR2019.pth"):
-        gcnet.lcnet()(images, mask)
+        gcnet.lcnet()(Observed(images, mask))
     with pytest.raises(Unsupported, match="PS-FCN_B_S_32.pth"):
-        gcnet.ps_fcn()(images, mask, lights=lights)
+        gcnet.ps_fcn()(Observed(images, mask, lights=lights))
     with pytest.raises(Unsupported, match="calibrated method"):
-        gcnet.gcnet(params["gcnet"])(images, mask)
+        gcnet.gcnet(params["gcnet"])(Observed(images, mask))
     with pytest.raises(Unsupported, match="needs known lights"):
-        gcnet.ps_fcn(params["ps_fcn"])(images, mask)
+        gcnet.ps_fcn(params["ps_fcn"])(Observed(images, mask))
     with pytest.raises(Unsupported, match="at least 2 images"):
-        gcnet.estimate_lights(params["gcnet"], images[:1], mask)
+        gcnet.estimate_lights(params["gcnet"], Observed(images[:1], mask))
     with pytest.raises(Unsupported, match="mask of the object"):
-        gcnet.estimate_lights(params["gcnet"], images, mask & False)
+        gcnet.estimate_lights(params["gcnet"], Observed(images, mask & False))
     path = tmp_path / "lcnet.safetensors"
     gcnet_weights.save_params(path, params["lcnet"], "lcnet")
     with pytest.raises(Unsupported, match="holds the weights of lcnet"):
-        gcnet.gcnet(path, normals=calibrated.woodham())(images, mask)
+        gcnet.gcnet(path, normals=calibrated.woodham())(Observed(images, mask))

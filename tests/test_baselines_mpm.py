@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import ortho_group
 
-from unips_jax.baselines.method import Unsupported
+from unips_jax.baselines.method import Observed, Unsupported
 from unips_jax.baselines.mpm import merge as mpm_merge
 from unips_jax.baselines.mpm import patches as mpm_patches
 from unips_jax.baselines.mpm.frame import cube_symmetries, frame_by_integrability
@@ -83,7 +83,7 @@ def error(predicted, true, mask):
 @pytest.mark.parametrize("kind", ["sphere", "cap"])
 def test_directional_light_is_solved_end_to_end(kind):
     normals, mask = scene(kind)
-    estimate = estimate_mpm(shade(normals, directional()), mask)
+    estimate = estimate_mpm(Observed(shade(normals, directional()), mask))
     # Measured 0.01 and 0.24 degrees at 64 pixels; the target is 1.5.
     assert error(estimate.normals, normals, mask) < 0.6
     assert estimate.reliability == 0
@@ -98,7 +98,7 @@ def test_upwards_is_up_and_the_relief_stands_out():
     normals, mask = scene("cap")
     images = shade(normals, directional())
     for options in ({}, {"frame": "integrability", "merge": "angles"}):
-        found = mpm(**options)(images, mask)
+        found = mpm(**options)(Observed(images, mask))
         for axis in (0, 1):
             relation = np.corrcoef(found[mask][:, axis], normals[mask][:, axis])
             assert relation[0, 1] > 0.99
@@ -110,10 +110,10 @@ def test_turning_everything_by_180_degrees_turns_the_answer():
     normals, mask = scene("cap")
     lights = directional()
     turn = np.array([-1, -1, 1])
-    plain = estimate_mpm(shade(normals, lights), mask)
+    plain = estimate_mpm(Observed(shade(normals, lights), mask))
     turned_images = shade(normals[::-1, ::-1] * turn, lights * turn)
     np.testing.assert_array_equal(turned_images, shade(normals, lights)[:, ::-1, ::-1])
-    turned = estimate_mpm(turned_images, mask[::-1, ::-1])
+    turned = estimate_mpm(Observed(turned_images, mask[::-1, ::-1]))
     back = turned.normals[::-1, ::-1] * turn
     assert np.max(np.asarray(angular_error_deg(back, plain.normals))[mask]) < 0.2
 
@@ -122,14 +122,14 @@ def test_turning_everything_by_180_degrees_turns_the_answer():
 def test_both_merges_agree_under_directional_light(kind):
     normals, mask = scene(kind)
     images = shade(normals, directional())
-    sync = mpm(merge="sync")(images, mask)
-    angles = mpm(merge="angles")(images, mask)
+    sync = mpm(merge="sync")(Observed(images, mask))
+    angles = mpm(merge="angles")(Observed(images, mask))
     assert error(sync, angles, mask) < 1  # measured 0.05; the target is 5
 
 
 def test_the_faithful_frame_needs_no_silhouette():
     normals, mask = scene("cap")
-    found = mpm(frame="integrability")(shade(normals, directional()), mask)
+    found = mpm(frame="integrability")(Observed(shade(normals, directional()), mask))
     assert error(found, normals, mask) < 1.5
 
 
@@ -137,14 +137,14 @@ def test_the_oracle_is_never_worse_than_the_convex_sign():
     normals, mask = scene("cap")
     dent = normals * np.array([-1, -1, 1])
     images = shade(dent, directional())
-    convex = mpm()(images, mask)
+    convex = mpm()(Observed(images, mask))
     assert error(best_signs(convex, dent, mask), dent, mask) < 1
     assert error(convex, dent, mask) > 20
 
 
 def test_natural_light_lowers_the_share_of_solved_patches():
     normals, mask = scene("sphere")
-    estimate = estimate_mpm(shade_natural(normals, seed=1), mask)
+    estimate = estimate_mpm(Observed(shade_natural(normals, seed=1), mask))
     # Measured 33 degrees and 0.68 at 64 pixels: the method's own limit.
     assert 0.3 < estimate.reliability < 0.9
     assert error(estimate.normals, normals, mask) < 45
@@ -155,19 +155,21 @@ def test_two_tones_need_the_albedo_profile():
     rows, columns = np.mgrid[:SIZE, :SIZE]
     tones = np.where((rows // 5 + columns // 5) % 2, 0.9, 0.45)[..., None]
     images = shade(normals, directional()) * tones.astype(np.float32)
-    assert error(mpm()(images, mask), normals, mask) < 1
-    assert error(mpm(albedo="none")(images, mask), normals, mask) > 5
+    assert error(mpm()(Observed(images, mask)), normals, mask) < 1
+    assert error(mpm(albedo="none")(Observed(images, mask)), normals, mask) > 5
 
 
 def test_a_mask_up_to_the_border_falls_back_to_integrability():
     normals, mask = scene("cap", 64)
     window = slice(None, 44), slice(8, 56)
     images = shade(normals, directional())[:, *window]
-    estimate = estimate_mpm(images, mask[window])
+    estimate = estimate_mpm(Observed(images, mask[window]))
     assert estimate.frame == "integrability"
     assert error(estimate.normals, normals[window], mask[window]) < 3
     window = slice(16, 48), slice(16, 48)
-    estimate = estimate_mpm(shade(normals, directional())[:, *window], mask[window])
+    estimate = estimate_mpm(
+        Observed(shade(normals, directional())[:, *window], mask[window])
+    )
     assert error(estimate.normals, normals[window], mask[window]) < 10
 
 
@@ -176,7 +178,7 @@ def test_saturated_and_black_pixels_are_left_out():
     images = shade(normals, directional())
     clipped = np.minimum(images, np.quantile(images[:, mask], 0.97))
     clipped[:, 20:22, 20:22] = 0
-    assert error(mpm()(clipped, mask), normals, mask) < 2
+    assert error(mpm()(Observed(clipped, mask)), normals, mask) < 2
 
 
 def test_metric_upgrade_is_exact_and_refuses_impossible_factors():
@@ -256,14 +258,14 @@ def test_refusals_are_one_clear_line():
     normals, mask = scene("sphere")
     images = shade(normals, directional())
     with pytest.raises(Unsupported, match="at least 6 images, got 5"):
-        mpm()(images[:5], mask)
+        mpm()(Observed(images[:5], mask))
     with pytest.raises(Unsupported, match="mask of the object"):
-        mpm()(images, np.zeros_like(mask))
+        mpm()(Observed(images, np.zeros_like(mask)))
     with pytest.raises(Unsupported, match="lit, unsaturated pixels"):
         tiny = np.zeros_like(mask)
         tiny[20:23, 20:23] = True
-        mpm()(images, tiny)
+        mpm()(Observed(images, tiny))
     with pytest.raises(Unsupported, match="none of the patches"):
-        mpm()(np.repeat(images[:1], 8, axis=0), mask)
+        mpm()(Observed(np.repeat(images[:1], 8, axis=0), mask))
     with pytest.raises(ValueError, match="merge: expected one of"):
         mpm(merge="both")

@@ -5,7 +5,7 @@ import pytest
 from scipy import optimize
 
 from unips_jax.baselines import spherical_harmonics as harmonics
-from unips_jax.baselines.method import Unsupported
+from unips_jax.baselines.method import Observed, Unsupported
 from unips_jax.baselines.pixels import normal_map
 from unips_jax.metrics import mean_angular_error_deg
 
@@ -110,7 +110,7 @@ def test_resolved(light, limit):
             noise = 0.01 if light == "noise" else 0.0
             images = first_order(normals, albedo, 20, noise=noise)
         images = colour(images, mask)
-        predicted = harmonics.first_order_harmonics()(images, mask)
+        predicted = harmonics.first_order_harmonics()(Observed(images, mask))
         found.append(error_of(predicted, normals, mask))
         assert (predicted[~mask] == 0).all()
         rays = harmonics.cone_directions(
@@ -127,7 +127,7 @@ def test_resolved(light, limit):
 def test_bumps_not_dents_and_y_up():
     normals, mask, albedo = blob(64)
     images = colour(first_order(normals, albedo, 12), mask)
-    predicted = harmonics.first_order_harmonics()(images, mask)
+    predicted = harmonics.first_order_harmonics()(Observed(images, mask))
     top, bottom = predicted[8:14, 28:36, 1], predicted[-14:-8, 28:36, 1]
     assert top[mask[8:14, 28:36]].mean() > 0.3
     assert bottom[mask[-14:-8, 28:36]].mean() < -0.3
@@ -163,13 +163,13 @@ def test_refusals():
     images = colour(first_order(normals, albedo, 8), mask)
     method = harmonics.first_order_harmonics()
     with pytest.raises(Unsupported, match="at least 4 images, got 3"):
-        method(images[:3], mask)
+        method(Observed(images[:3], mask))
     with pytest.raises(Unsupported, match="mask of the object"):
-        method(images, mask & False)
+        method(Observed(images, mask & False))
     with pytest.raises(Unsupported, match="too alike"):
-        method(np.repeat(images[:2], 4, axis=0), mask)
+        method(Observed(np.repeat(images[:2], 4, axis=0), mask))
     with pytest.raises(Unsupported, match="outline"):
-        method(images + 0.01, np.ones_like(mask))
+        method(Observed(images + 0.01, np.ones_like(mask)))
     rng = np.random.default_rng(0)
     one, other = rng.uniform(0, 7, (2, 200))
     saddle = np.stack([np.cos(one), np.sin(one), np.cos(other), np.sin(other)], axis=-1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from unips_jax.baselines import bas_relief, surface, uncalibrated
-from unips_jax.baselines.method import Unsupported
+from unips_jax.baselines.method import Observed, Unsupported
 from unips_jax.baselines.pixels import normal_map
 from unips_jax.metrics import mean_angular_error_deg
 
@@ -97,7 +97,7 @@ def test_resolved(resolve, paint, limit):
     for seed in (0, 2):
         normals, mask, albedo = bumpy(96, seed=seed, paint=paint)
         images = render(normals, albedo, lights_around(24), noise=0.01)
-        predicted = method(images, mask)
+        predicted = method(Observed(images, mask))
         errors.append(error_of(predicted, normals, mask))
         assert (predicted[~mask] == 0).all()
         np.testing.assert_allclose(
@@ -113,7 +113,7 @@ def test_shadows_cost_accuracy_but_not_the_shape():
     images = render(normals, albedo, lights_around(24, slant=65.0))
     share = (images[:, mask] == 0).mean()
     for resolve in ("entropy", "diffuse_maxima"):
-        predicted = uncalibrated.factorisation(resolve=resolve)(images, mask)
+        predicted = uncalibrated.factorisation(resolve=resolve)(Observed(images, mask))
         error = error_of(predicted, normals, mask)
         print(f"{resolve}: {error:.1f} with {share:.1%} in shadow")
         assert error < 25
@@ -123,7 +123,7 @@ def test_bumps_not_dents_and_y_up():
     normals, mask, albedo = bumpy(64, paint="one")
     images = render(normals, albedo, lights_around(24))
     for resolve in ("entropy", "diffuse_maxima"):
-        predicted = uncalibrated.factorisation(resolve=resolve)(images, mask)
+        predicted = uncalibrated.factorisation(resolve=resolve)(Observed(images, mask))
         assert predicted[4:14, 28:36, 1][mask[4:14, 28:36]].mean() > 0.2
         assert predicted[-14:-4, 28:36, 1][mask[-14:-4, 28:36]].mean() < -0.2
         assert predicted[28:36, -14:-4, 0][mask[28:36, -14:-4]].mean() > 0.2
@@ -192,9 +192,9 @@ def test_of_too_many_diffuse_maxima_some_are_used(monkeypatch):
 
     monkeypatch.setattr(bas_relief, "_segments", counted)
     method = uncalibrated.factorisation()
-    method(images, mask)
+    method(Observed(images, mask))
     monkeypatch.setattr(bas_relief, "_MAXIMA", sizes[0] - 1)
-    predicted = method(images, mask)
+    predicted = method(Observed(images, mask))
     assert sizes[1] == -(-sizes[0] // 2)
     assert error_of(predicted, normals, mask) < 4
 
@@ -224,17 +224,17 @@ def test_refusals():
     images = render(normals, albedo, lights_around(6))
     method = uncalibrated.factorisation()
     with pytest.raises(Unsupported, match="at least 3 images, got 2"):
-        method(images[:2], mask)
+        method(Observed(images[:2], mask))
     with pytest.raises(Unsupported, match="mask of the object"):
-        method(images, mask & False)
+        method(Observed(images, mask & False))
     with pytest.raises(Unsupported, match="too alike"):
-        method(np.repeat(images[:1], 6, axis=0), mask)
+        method(Observed(np.repeat(images[:1], 6, axis=0), mask))
     full = np.ones_like(mask)
     with pytest.raises(Unsupported, match="outline"):
-        uncalibrated.factorisation(resolve="entropy")(images + 0.01, full)
+        uncalibrated.factorisation(resolve="entropy")(Observed(images + 0.01, full))
     small = np.zeros_like(mask)
     small[20:24, 20:24] = True
     with pytest.raises(Unsupported, match="too small"):
-        method(images, small)
+        method(Observed(images, small))
     with pytest.raises(ValueError, match="resolve"):
         uncalibrated.factorisation(resolve="hope")

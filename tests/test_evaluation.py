@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from unips_jax.baselines.method import Estimated, Unsupported
+from unips_jax.baselines.method import Estimated, Observed, Unsupported
 from unips_jax.cli import eval as evaluation
 from unips_jax.evaluation import methods, protocols, publish, runner, summary
 from unips_jax.evaluation.benchmarks import open_benchmark
@@ -30,13 +30,13 @@ class Recorder:
         self.normal = data.tilted(tilt)[0, 0]
         self.variant = Variant(label, {"method": label}, self.run)
 
-    def run(self, images, mask, *, lights=None, focal=None):
+    def run(self, observed):
         self.calls += 1
-        if self.needs_lights and lights is None:
+        if self.needs_lights and observed.lights is None:
             raise Unsupported("needs lights")
         if self.calls == self.fails_at:
             raise RuntimeError("a bug")
-        return np.where(mask[..., None], self.normal, 0)
+        return np.where(observed.mask[..., None], self.normal, 0)
 
 
 def plan_of(root, *recorders, counts=(None,), protocol=None):
@@ -116,7 +116,7 @@ def test_a_crash_leaves_finished_results_and_nothing_else(ps_wild, tmp_path):
 
 
 def test_an_oracle_chooses_signs_by_the_truth(ps_wild, tmp_path):
-    def mirrored(images, mask, *, lights=None, focal=None):
+    def mirrored(observed):
         normals = data.sphere(24, 24, radius=24 * 0.3)[1]
         return Estimated(normals * np.array([-1, 1, 1]), {"mirrors": 1.0})
 
@@ -136,14 +136,14 @@ def test_an_oracle_chooses_signs_by_the_truth(ps_wild, tmp_path):
 
 def test_an_oracle_needs_the_truth():
     mask, normals = data.sphere(24, 24)
-    case = protocols.Case(np.ones((1, 24, 24, 3)), mask, None, None, None)
-    oracle = Variant("oracle", {}, lambda *_, **__: normals, "", True)
+    case = protocols.Case(Observed(np.ones((1, 24, 24, 3)), mask), None)
+    oracle = Variant("oracle", {}, lambda observed: normals, "", True)
     with pytest.raises(Unsupported, match="needs the true normals"):
         runner.estimate(oracle, case)
 
 
 def test_a_map_of_another_shape_is_a_bug(ps_wild, tmp_path):
-    wrong = Variant("wrong", {}, lambda images, mask, *, lights, focal: mask)
+    wrong = Variant("wrong", {}, lambda observed: observed.mask)
     plan = plan_of(ps_wild, Recorder("flat"))._replace(variants=[wrong])
     with pytest.raises(ValueError, match="'wrong': expected normals of shape"):
         results_of(plan, Store(tmp_path))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from unips_jax.baselines.method import Observed
 from unips_jax.cli import eval as evaluation
 from unips_jax.errors import InputError
 from unips_jax.evaluation.protocols import Case
@@ -160,9 +161,8 @@ def test_lost_normals_are_named(tmp_path):
 def case_of(**changes):
     mask, normals = data.sphere(40, 60)
     images = data.shade(normals, data.lights(3)).astype(np.float32)
-    return Case(images, mask, normals.astype(np.float32), None, None)._replace(
-        **changes
-    )
+    case = Case(Observed(images, mask), normals.astype(np.float32))
+    return case._replace(**changes)
 
 
 def test_sheet_of_many_methods_wraps():

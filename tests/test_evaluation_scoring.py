@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from unips_jax.baselines.gcnet.weights import save_params
-from unips_jax.baselines.method import Lights
+from unips_jax.baselines.method import Lights, Observed
 from unips_jax.errors import InputError
 from unips_jax.estimation import streaming
 from unips_jax.evaluation import protocols
@@ -46,15 +46,17 @@ def test_crop_of_its_own_size_passes_unchanged():
         item_of(images, mask, normals, focal=50.0), Protocol("crop", 19), [2, 0]
     )
     rows, columns = slice(2, 21), slice(5, 24)
-    np.testing.assert_array_equal(case.mask, mask[rows, columns])
+    np.testing.assert_array_equal(case.observed.mask, mask[rows, columns])
     expected = images[[2, 0], rows, columns] / np.float32(65535)
     np.testing.assert_array_equal(
-        case.images, np.where(case.mask[..., None], expected, 0)
+        case.observed.images, np.where(case.observed.mask[..., None], expected, 0)
     )
     np.testing.assert_allclose(
-        case.normals[case.mask], normals[rows, columns][case.mask], atol=1e-6
+        case.normals[case.observed.mask],
+        normals[rows, columns][case.observed.mask],
+        atol=1e-6,
     )
-    assert case.focal == 50
+    assert case.observed.focal == 50
 
 
 def test_crop_averages_masked_pixels_alone():
@@ -65,19 +67,19 @@ def test_crop_averages_masked_pixels_alone():
     images[0, 4, 4] = 1000
     images[0, 5, 4] = 10
     case = protocols.show(item_of(images, mask, focal=32.0), Protocol("crop", 8), [0])
-    assert case.mask[2:6, 2:6].all() and case.mask.sum() == 16
-    np.testing.assert_allclose(case.images[0, 2, 2], 8)
-    np.testing.assert_allclose(case.images[0, 3, 3], 7)
-    assert (case.images[0, 0] == 0).all()
-    assert case.focal == 16
+    assert case.observed.mask[2:6, 2:6].all() and case.observed.mask.sum() == 16
+    np.testing.assert_allclose(case.observed.images[0, 2, 2], 8)
+    np.testing.assert_allclose(case.observed.images[0, 3, 3], 7)
+    assert (case.observed.images[0, 0] == 0).all()
+    assert case.observed.focal == 16
 
 
 def test_crop_beyond_the_border_is_black():
     mask = np.ones((10, 10), bool)
     images = np.full((1, 10, 10, 3), 255, np.uint8)
     case = protocols.show(item_of(images, mask), Protocol("crop", 18), [0])
-    np.testing.assert_array_equal(case.mask, np.pad(mask, 4))
-    np.testing.assert_array_equal(case.images[0, ..., 0], np.pad(mask, 4))
+    np.testing.assert_array_equal(case.observed.mask, np.pad(mask, 4))
+    np.testing.assert_array_equal(case.observed.images[0, ..., 0], np.pad(mask, 4))
 
 
 def test_crop_keeps_zero_normals_zero_and_others_unit():
@@ -89,7 +91,7 @@ def test_crop_keeps_zero_normals_zero_and_others_unit():
     )
     length = np.linalg.norm(case.normals, axis=-1)
     assert set(np.round(length, 5).ravel()) == {0, 1}
-    assert (length[case.mask] == 0).sum() > 50
+    assert (length[case.observed.mask] == 0).sum() > 50
 
 
 @pytest.mark.parametrize("protocol", [Protocol("native"), Protocol("crop", 64)])
@@ -101,20 +103,22 @@ def test_images_are_held_once(protocol):
     case = protocols.show(item, protocol, range(40))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert case.images.shape == (40, 64, 64, 3)
-    assert peak < 1.3 * case.images.nbytes
+    assert case.observed.images.shape == (40, 64, 64, 3)
+    assert peak < 1.3 * case.observed.images.nbytes
 
 
 def test_focal_of_unknown_cameras_is_the_papers():
     mask, _ = data.sphere(32, 32)
     item = item_of(np.ones((1, 32, 32, 3), np.float32), mask)
     crop = Protocol("crop", 16)
-    assert protocols.show(item, crop, [0]).focal is None
-    assert protocols.show(item, crop, [0], crop_focal_ratio=1.0).focal == 16
+    assert protocols.show(item, crop, [0]).observed.focal is None
+    assert protocols.show(item, crop, [0], crop_focal_ratio=1.0).observed.focal == 16
     flat = item._replace(focal=np.inf)  # an orthographic camera is a known one
-    assert protocols.show(flat, crop, [0], crop_focal_ratio=1.0).focal == np.inf
+    assert (
+        protocols.show(flat, crop, [0], crop_focal_ratio=1.0).observed.focal == np.inf
+    )
     native = protocols.show(item, Protocol("native"), [0], crop_focal_ratio=1.0)
-    assert native.focal is None
+    assert native.observed.focal is None
 
 
 def test_subsets_are_nested_fixed_and_sorted():
@@ -226,14 +230,14 @@ def test_gcnet_small_finds_the_lights_of_a_sphere():
     images = data.shade(normals, directions).astype(np.float32)
     small, constant = load_variants(["gcnet-small"], NO_WEIGHTS)
     lights = Lights(directions, np.ones((8, 3)))
-    found = small.run(images, mask, lights=lights)
+    found = small.run(Observed(images, mask, lights))
 
     def error(estimate):
         cosine = np.sum(estimate * normals, axis=-1)[mask]
         return np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()
 
     assert found.measures["light direction error (degrees)"] < 9
-    assert error(found.normals) < 10 < error(constant.run(images, mask))
+    assert error(found.normals) < 10 < error(constant.run(Observed(images, mask)))
 
 
 @pytest.mark.parametrize(
@@ -278,7 +282,9 @@ def test_unips_variants_get_their_own_settings(tmp_path, monkeypatch):
     weights = data.small_weights(tmp_path / "a.safetensors")
     options = UnipsOptions([str(weights)], (32, 48), True)
     variants = load_variants(["unips"], options)
-    assert {variant.label: variant.run(None, None) for variant in variants[:-1]} == {
+    assert {
+        variant.label: variant.run(Observed(None, None)) for variant in variants[:-1]
+    } == {
         "unips canonical 32": (32, False),
         "unips canonical 32 uniform contexts": (32, True),
         "unips canonical 48": (48, False),

@@ -191,6 +191,7 @@ def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys)
 @pytest.mark.slow
 def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
     from unips_jax.baselines.gcnet.methods import gcnet
+    from unips_jax.baselines.method import Observed
 
     monkeypatch.syspath_prepend(TOOLS)
     tool = runpy.run_path(str(TOOLS / "train_gcnet.py"))
@@ -204,11 +205,11 @@ def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
     images = np.repeat(np.stack([z, z + 0.5 * x, z + 0.5 * y])[..., None], 3, -1)
     seen = {}
 
-    def normals(images, mask, *, lights, focal):
-        seen.update(lights._asdict())
-        return np.zeros((*mask.shape, 3), np.float32)
+    def normals(observed):
+        seen.update(observed.lights._asdict())
+        return np.zeros((*observed.mask.shape, 3), np.float32)
 
-    gcnet(output, normals=normals)(np.maximum(images, 0), z > 0)
+    gcnet(output, normals=normals)(Observed(np.maximum(images, 0), z > 0))
     lengths = np.linalg.norm(seen["directions"], axis=-1)
     np.testing.assert_allclose(lengths, np.ones(3), atol=1e-5)
     assert np.all(seen["directions"][:, 2] > 0) and np.all(seen["intensities"] > 0)

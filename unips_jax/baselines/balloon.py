@@ -15,7 +15,7 @@ from jax import Array, lax
 from scipy import ndimage
 
 from unips_jax.baselines.grid import forward, integrate, shift
-from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.baselines.pixels import normal_map
 
 _DIRECT_SIZE = 96
@@ -164,15 +164,8 @@ def hemisphere(*, volume: float | None = None) -> Method:
     if volume is not None and not volume > 0:
         raise ValueError(f"volume: expected pixels > 0, got {volume!r}")
 
-    def method(
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> np.ndarray:
-        del images, lights, focal
-        mask = np.asarray(mask) > 0
+    def method(observed: Observed) -> np.ndarray:
+        mask = np.asarray(observed.mask) > 0
         if not mask.any():
             raise Unsupported("hemisphere: needs a mask of the object; it is empty")
         distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]

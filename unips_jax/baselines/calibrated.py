@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.baselines.pixels import LUMA, map_pixels, normal_map, object_pixels
 
 Colour = Literal["luma", "mean", "strongest"]
@@ -116,14 +116,13 @@ def low_rank(*, tolerance: float = 1e-6, growth: float = 1.2) -> Method:
 
 
 def check_lights(
-    name: str, lights: Lights | None, count: int, *, coplanar: bool = False
+    name: str, observed: Observed, *, coplanar: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Checks known lights.
 
     Args:
         name: the method's name, for the messages.
-        lights: what the method was given.
-        count: number of images.
+        observed: what the method was given.
         coplanar: accept directions that lie in one plane.
 
     Returns:
@@ -133,6 +132,7 @@ def check_lights(
         Unsupported: if there are none, or they do not determine a normal.
         ValueError: if the shapes do not fit.
     """
+    lights, count = observed.lights, len(observed.images)
     if lights is None:
         raise Unsupported(f"{name}: needs known lights, and none are given")
     directions = np.asarray(lights.directions, np.float64)
@@ -203,16 +203,9 @@ def _method(
 ) -> Method:
     """Wraps `solve(values [P, N], directions [N, 3]) -> [P, 3]` as a method."""
 
-    def method(
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> np.ndarray:
-        del focal
-        pixels, mask = object_pixels(images, mask, name=name)
-        directions, intensities = check_lights(name, lights, len(images))
+    def method(observed: Observed) -> np.ndarray:
+        pixels, mask = object_pixels(observed, name=name)
+        directions, intensities = check_lights(name, observed)
         pixels = pixels / intensities  # [P, N, 3]
         if colour == "strongest":
             each = np.stack([solve(pixels[..., c], directions) for c in range(3)])

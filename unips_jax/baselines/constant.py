@@ -6,7 +6,7 @@ The other floor, a shape blown up from the mask alone, is in
 
 import numpy as np
 
-from unips_jax.baselines.method import Lights, Method
+from unips_jax.baselines.method import Method, Observed
 from unips_jax.baselines.pixels import normal_map, object_pixels
 
 
@@ -15,13 +15,6 @@ def constant() -> Method:
     return _constant
 
 
-def _constant(
-    images: np.ndarray,
-    mask: np.ndarray,
-    *,
-    lights: Lights | None = None,
-    focal: float | None = None,
-) -> np.ndarray:
-    del lights, focal
-    pixels, mask = object_pixels(images, mask, name="constant", minimum=1)
+def _constant(observed: Observed) -> np.ndarray:
+    pixels, mask = object_pixels(observed, name="constant", minimum=1)
     return normal_map(np.zeros((len(pixels), 3)), mask)

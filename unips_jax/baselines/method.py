@@ -1,7 +1,7 @@
 """The one signature every method has, UniPS included."""
 
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,23 @@ class Lights(NamedTuple):
     intensities: np.ndarray
 
 
+class Observed(NamedTuple):
+    """What is known of an object before its normals are: a method's input.
+
+    Attributes:
+        images: `[N, H, W, 3]`, linear RGB of any scale, float32.
+        mask: `[H, W]`, bool, True on the object.
+        lights: known lights; None where unknown.
+        focal: focal length in pixels of these images, principal point at their
+            centre; infinite for an orthographic camera, None where unknown.
+    """
+
+    images: np.ndarray
+    mask: np.ndarray
+    lights: Lights | None = None
+    focal: float | None = None
+
+
 class Estimated(NamedTuple):
     """Normals, and what a method says of how they came about.
 
@@ -36,32 +53,14 @@ class Unsupported(InputError):
     """The method cannot work on this input; one line says what it lacks."""
 
 
-class Method(Protocol):
-    """Estimates an object's normals."""
+Method = Callable[[Observed], np.ndarray | Estimated]
+"""Estimates an object's normals.
 
-    def __call__(
-        self,
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> np.ndarray | Estimated:
-        """Runs the method.
+Returns:
+    Normals `[H, W, 3]`, float32: unit length inside the mask (x right, y up, z to the
+    viewer), zero outside; as `Estimated` where the method has figures to tell. Methods
+    that need no lights ignore them, or measure their own estimate by them.
 
-        Args:
-            images: `[N, H, W, 3]`, linear RGB of any scale, float32.
-            mask: `[H, W]`, bool, True on the object.
-            lights: known lights; methods that need none ignore them, or measure their
-                own estimate by them.
-            focal: focal length in pixels of these images, principal point at their
-                centre; infinite for an orthographic camera, None where unknown.
-
-        Returns:
-            Normals `[H, W, 3]`, float32: unit length inside the mask (x right, y up, z
-            to the viewer), zero outside; with figures where the method has some.
-
-        Raises:
-            Unsupported: if the input lacks something the method needs.
-        """
-        ...
+Raises:
+    Unsupported: if the input lacks something the method needs.
+"""

@@ -12,20 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from unips_jax.baselines.method import Unsupported
+from unips_jax.baselines.method import Observed, Unsupported
 
 LUMA = (0.299, 0.587, 0.114)  # BT.601
 CHUNK = 16384  # pixels at once; the largest array is [CHUNK, N, 3]
 
 
 def object_pixels(
-    images: np.ndarray, mask: np.ndarray, *, name: str, minimum: int = 3
+    observed: Observed, *, name: str, minimum: int = 3
 ) -> tuple[np.ndarray, np.ndarray]:
     """Checks a method's input and takes the object's pixels.
 
     Args:
-        images: `[N, H, W, 3]`, linear RGB.
-        mask: `[H, W]`, True on the object.
+        observed: the images and the mask; a mask of numbers counts where above 0.
         name: the method's name, for the messages.
         minimum: fewest images it works with.
 
@@ -37,7 +36,7 @@ def object_pixels(
             are black or not finite inside it.
         ValueError: if the shapes do not fit.
     """
-    images, mask = np.asarray(images), np.asarray(mask) > 0
+    images, mask = np.asarray(observed.images), np.asarray(observed.mask) > 0
     if images.ndim != 4 or images.shape[-1] != 3 or images.shape[1:3] != mask.shape:
         raise ValueError(
             f"{name}: expected images [N, H, W, 3] and mask [H, W], got "

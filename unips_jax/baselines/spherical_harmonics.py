@@ -18,7 +18,7 @@ import numpy as np
 from scipy import ndimage, optimize
 from scipy.spatial.transform import Rotation
 
-from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.baselines.pixels import normal_map, object_pixels
 from unips_jax.baselines.surface import derivatives, silhouette, smooth
 from unips_jax.baselines.uncalibrated import factorise
@@ -43,15 +43,8 @@ def first_order_harmonics(*, smoothing: float = 1.5, anchor: float = 0.05) -> Me
         the image.
     """
 
-    def method(
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> np.ndarray:
-        del lights, focal
-        pixels, mask = object_pixels(images, mask, name=_NAME, minimum=4)
+    def method(observed: Observed) -> np.ndarray:
+        pixels, mask = object_pixels(observed, name=_NAME, minimum=4)
         grey = pixels.astype(np.float64).mean(axis=-1)
         rays = cone_directions(cone_field(grey))
         matrix = resolve(rays, mask, smoothing=smoothing, anchor=anchor)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from unips_jax.baselines import bas_relief
-from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.baselines.pixels import normal_map, object_pixels
 from unips_jax.baselines.surface import convex_sign, derivatives, smooth
 
@@ -42,21 +42,14 @@ def factorisation(
             f"resolve: expected 'entropy' or 'diffuse_maxima', got {resolve!r}"
         )
 
-    def method(
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> np.ndarray:
-        del lights, focal
-        pixels, mask = object_pixels(images, mask, name="factorisation")
+    def method(observed: Observed) -> np.ndarray:
+        pixels, mask = object_pixels(observed, name="factorisation")
         grey = pixels.astype(np.float64).mean(axis=-1)
         field, found = integrable_field(grey, mask, smoothing=smoothing)
         if resolve == "entropy":
             relief = bas_relief.by_entropy(field[mask])
         else:
-            maps = np.zeros((len(images), *mask.shape))
+            maps = np.zeros((grey.shape[1], *mask.shape))
             maps[:, mask] = grey.T
             relief = bas_relief.by_diffuse_maxima(field, found, maps, mask)
         normals = normal_map(field[mask] @ bas_relief.transform(relief), mask)

@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from typeguard import TypeCheckError, check_type
 
-from unips_jax.baselines.method import Lights, Method
+from unips_jax.baselines.method import Method, Observed
+from unips_jax.config import ModelConfig
 from unips_jax.errors import InputError
 from unips_jax.provenance import code_hash
 
@@ -324,7 +325,6 @@ def _file_hash(value: Any) -> Any:
 
 
 def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
-    from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.weights import load_weights, params_hash
 
     several = len(unips.weights) > 1
@@ -340,22 +340,6 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
                 raise InputError(f"--canonical-size: {error}") from error
             label = base if len(sizes) == 1 else f"{base} canonical {size}"
             for uniform in (False, True)[: 1 + unips.uniform_contexts]:
-
-                def run(
-                    images: np.ndarray,
-                    mask: np.ndarray,
-                    *,
-                    lights: Lights | None = None,
-                    focal: float | None = None,
-                    params: Any = params,
-                    config: Any = sized,
-                    uniform: bool = uniform,
-                ) -> np.ndarray:
-                    del lights, focal
-                    return estimate_photographs(
-                        params, images, mask, config=config, uniform_contexts=uniform
-                    )
-
                 options = {"canonical_size": size, "uniform_contexts": uniform}
                 yield Variant(
                     label + " uniform contexts" * uniform,
@@ -363,7 +347,22 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
                         **{"method": "unips", "options": options, "weights": weights},
                         "method_code": code_hash("estimation.streaming"),
                     },
-                    run,
+                    _unips(params, sized, uniform),
                     f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "
                     f"hash {weights}",
                 )
+
+
+def _unips(params: Any, config: ModelConfig, uniform_contexts: bool) -> Method:
+    from unips_jax.estimation.streaming import estimate_photographs
+
+    def method(observed: Observed) -> np.ndarray:
+        return estimate_photographs(
+            params,
+            observed.images,
+            observed.mask,
+            config=config,
+            uniform_contexts=uniform_contexts,
+        )
+
+    return method

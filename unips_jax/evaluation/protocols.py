@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import cv2
 import numpy as np
 
-from unips_jax.baselines.method import Lights
+from unips_jax.baselines.method import Lights, Observed
 from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import Item
 
@@ -58,19 +58,12 @@ class Case(NamedTuple):
     """What methods get, and what their estimate is compared with.
 
     Attributes:
-        images: `[N, h, w, 3]`, float32, linear, in [0, 1] for integer files.
-        mask: `[h, w]`, bool.
-        normals: `[h, w, 3]`, float32; None where the truth is withheld.
-        lights: of the images shown.
-        focal: in pixels of these images; infinite for an orthographic camera, None
-            where it is not known.
+        observed: all that methods see; images of integer files are in [0, 1].
+        normals: the truth, `[h, w, 3]`, float32; None where it is withheld.
     """
 
-    images: np.ndarray
-    mask: np.ndarray
+    observed: Observed
     normals: np.ndarray | None
-    lights: Lights | None
-    focal: float | None
 
 
 class Box(NamedTuple):
@@ -136,7 +129,7 @@ def show(
     if protocol.name == "native":
         shape = (len(chosen), *item.images.shape[1:])
         images = _filled(shape, (_unit_range(item.images[i]) for i in chosen))
-        return Case(images, item.mask, item.normals, lights, item.focal)
+        return Case(Observed(images, item.mask, lights, item.focal), item.normals)
     box = square_box(item.mask)
     weight = _resize(_cut(item.mask, box).astype(np.float32), protocol.size)
     mask = weight >= min(0.5, weight.max())
@@ -152,13 +145,9 @@ def show(
     elif crop_focal_ratio is not None:
         focal = crop_focal_ratio * protocol.size
     shape = (len(chosen), *mask.shape, item.images.shape[-1])
-    return Case(
-        _filled(shape, (crop(_unit_range(item.images[i])) for i in chosen)),
-        mask,
-        None if item.normals is None else _unit_length(crop(item.normals)),
-        lights,
-        focal,
-    )
+    images = _filled(shape, (crop(_unit_range(item.images[i])) for i in chosen))
+    normals = None if item.normals is None else _unit_length(crop(item.normals))
+    return Case(Observed(images, mask, lights, focal), normals)
 
 
 def _filled(shape: tuple[int, ...], images: Iterable[np.ndarray]) -> np.ndarray:

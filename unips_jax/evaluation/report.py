@@ -55,7 +55,7 @@ def exhibit(
         case: what the methods were given.
         panels: the methods.
     """
-    window = frame(case.mask)
+    window = frame(case.observed.mask)
 
     def pack(picture: np.ndarray) -> str:
         return _webp(shrink(picture[window], _PICTURE_LIMIT))
@@ -67,14 +67,14 @@ def exhibit(
         errors, line = "", "truth withheld"
         if case.normals is not None and panel.mae is not None:
             degrees = error_map(panel.normals, case.normals)
-            errors = pack(error_picture(degrees, case.mask))
-            median = float(np.median(degrees[case.mask]))
+            errors = pack(error_picture(degrees, case.observed.mask))
+            median = float(np.median(degrees[case.observed.mask]))
             line = f"mean error {panel.mae:.2f}°, median {median:.2f}°"
-        normals = pack(normals_picture(panel.normals, case.mask))
+        normals = pack(normals_picture(panel.normals, case.observed.mask))
         estimates.append((panel.label, normals, errors, line))
     truth = ""
     if case.normals is not None:
-        truth = pack(normals_picture(case.normals, case.mask))
+        truth = pack(normals_picture(case.normals, case.observed.mask))
     decoded = cv2.imdecode(np.frombuffer(sheet_png, np.uint8), cv2.IMREAD_COLOR)
     assert decoded is not None  # written by `sheet`
     return Exhibit(name, caption, _webp(decoded[..., ::-1]), truth, estimates)

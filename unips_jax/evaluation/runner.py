@@ -217,6 +217,7 @@ def _show(plan: Plan, task: Task, last: _Shown | None) -> _Shown:
 
 def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
     item, case = shown.item, shown.case
+    mask = case.observed.mask
     chosen = _chosen(plan, task.index, task.count)
     record: dict[str, Any] = {
         "fields": task.fields,
@@ -236,8 +237,8 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
         return
     record["measures"] = dict(measures)
     if case.normals is not None:
-        record["score"] = score(normals, case.normals, case.mask)._asdict()
-    store.commit(task.name, record, np.where(case.mask[..., None], normals, 0))
+        record["score"] = score(normals, case.normals, mask)._asdict()
+    store.commit(task.name, record, np.where(mask[..., None], normals, 0))
 
 
 def estimate(variant: Variant, case: Case) -> Estimated:
@@ -252,16 +253,17 @@ def estimate(variant: Variant, case: Case) -> Estimated:
     """
     if variant.oracle and case.normals is None:
         raise Unsupported("sign=oracle: needs the true normals, which are withheld")
-    found = variant.run(case.images, case.mask, lights=case.lights, focal=case.focal)
+    found = variant.run(case.observed)
     estimated = found if isinstance(found, Estimated) else Estimated(found, {})
     normals = np.asarray(estimated.normals, np.float32)
-    if normals.shape != (*case.mask.shape, 3):
+    mask = case.observed.mask
+    if normals.shape != (*mask.shape, 3):
         raise ValueError(
             f"method {variant.label!r}: expected normals of shape "
-            f"{(*case.mask.shape, 3)}, got {normals.shape}"
+            f"{(*mask.shape, 3)}, got {normals.shape}"
         )
     if variant.oracle and case.normals is not None:
-        normals = best_signs(normals, case.normals, case.mask)
+        normals = best_signs(normals, case.normals, mask)
     return estimated._replace(normals=normals)
 
 

@@ -76,7 +76,7 @@ def sheet(title: str, case: Case, panels: Sequence[Panel]) -> bytes:
         va="center",
         parse_math=False,
     )
-    canvas = _Canvas(figure, frame(case.mask))
+    canvas = _Canvas(figure, frame(case.observed.mask))
     top = heights[0]
     _inputs(canvas, case, top, columns)
     top += heights[1]
@@ -144,12 +144,12 @@ def _blocks(panels: Sequence[Panel], columns: int) -> list[list[Panel | None]]:
 
 
 def _inputs(canvas: _Canvas, case: Case, top: float, columns: int) -> None:
-    count = len(case.images)
+    count = len(case.observed.images)
     shown = np.unique(
         np.linspace(0, count - 1, min(count, columns)).round().astype(int)
     )
     for column, i in enumerate(shown):
-        picture = photograph_picture(case.images[i], case.mask)
+        picture = photograph_picture(case.observed.images[i], case.observed.mask)
         canvas.show(picture, f"image {i + 1} of {count}", column, top, soft=True)
 
 
@@ -160,7 +160,7 @@ def _block(
     for column, panel in enumerate(block):
         if panel is None:
             if case.normals is not None:
-                picture = normals_picture(case.normals, case.mask)
+                picture = normals_picture(case.normals, case.observed.mask)
                 canvas.show(picture, "true normals", column, top)
                 _scale(canvas, column, below)
             else:
@@ -171,10 +171,12 @@ def _block(
             axes = canvas.axes(column, top)
             axes.text(0.5, 0.5, "unsupported", ha="center", color=_SOFT, fontsize=7.5)
             continue
-        canvas.show(normals_picture(panel.normals, case.mask), panel.label, column, top)
+        canvas.show(
+            normals_picture(panel.normals, case.observed.mask), panel.label, column, top
+        )
         if case.normals is not None and panel.mae is not None:
             errors = error_map(panel.normals, case.normals)
-            picture = error_picture(errors, case.mask)
+            picture = error_picture(errors, case.observed.mask)
             canvas.show(picture, f"{panel.mae:.2f}°", column, below)
 
 

@@ -30,7 +30,7 @@ from unips_jax.baselines.gcnet import model
 from unips_jax.baselines.gcnet.lights import hard_lights, light_errors, soft_lights
 from unips_jax.baselines.gcnet.model import Params
 from unips_jax.baselines.gcnet.weights import Network, load_params
-from unips_jax.baselines.method import Estimated, Lights, Method, Unsupported
+from unips_jax.baselines.method import Estimated, Lights, Method, Observed, Unsupported
 from unips_jax.baselines.pixels import object_pixels
 
 Norm = Literal["range01", "literal10", "none"]
@@ -103,22 +103,13 @@ def ps_fcn(
     """
     loaded = _loader("ps_fcn", weights)
 
-    def method(
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> np.ndarray:
-        del focal
+    def method(observed: Observed) -> np.ndarray:
         params = loaded()
-        _, mask = object_pixels(images, mask, name="ps_fcn", minimum=1)
-        directions, intensities = check_lights(
-            "ps_fcn", lights, len(images), coplanar=True
-        )
+        _, mask = object_pixels(observed, name="ps_fcn", minimum=1)
+        directions, intensities = check_lights("ps_fcn", observed, coplanar=True)
         rows, columns = _box(mask, margin)
         inside = mask[rows, columns]
-        crop = _masked(images[:, rows, columns], inside)
+        crop = _masked(observed.images[:, rows, columns], inside)
         height, width = inside.shape
         pad = ((0, 0), (0, -height % 4), (0, -width % 4), (0, 0))
         estimate = _normals(params, np.pad(crop, pad), directions, intensities, chunk)
@@ -131,8 +122,7 @@ def ps_fcn(
 
 def estimate_lights(
     params: Params,
-    images: np.ndarray,
-    mask: np.ndarray,
+    observed: Observed,
     *,
     norm: Norm = "range01",
     per: Per = "image",
@@ -143,8 +133,7 @@ def estimate_lights(
 
     Args:
         params: parameters of GCNet or of LCNet.
-        images: `[N, H, W, 3]`, linear RGB.
-        mask: `[H, W]`, True on the object.
+        observed: the images and the mask.
         norm: as in `gcnet`.
         per: as in `gcnet`.
         margin: as in `gcnet`.
@@ -158,9 +147,9 @@ def estimate_lights(
     Raises:
         Unsupported: if there are fewer than two images, or no object.
     """
-    _, mask = object_pixels(images, mask, name="estimate_lights", minimum=_MIN_IMAGES)
+    _, mask = object_pixels(observed, name="estimate_lights", minimum=_MIN_IMAGES)
     rows, columns = _box(mask, margin)
-    crop, inside = images[:, rows, columns], mask[rows, columns]
+    crop, inside = observed.images[:, rows, columns], mask[rows, columns]
     scaled, gain = normalise(crop, inside, norm=norm, per=per)
     network = _gcnet_lights if "light_1" in params else _lcnet_lights
     small, soft = _resized(_masked(scaled, inside), inside.astype(np.float32), side)
@@ -210,25 +199,20 @@ def _uncalibrated(
 ) -> Method:
     loaded = _loader(name, weights)
 
-    def method(
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> Estimated:
+    def method(observed: Observed) -> Estimated:
         params = loaded()
         if normals is None:
             raise Unsupported(
                 f"{name}: needs a calibrated method for the normals, such as ps_fcn "
                 "with converted PS-FCN_B_S_32.pth weights, or woodham"
             )
-        _, mask = object_pixels(images, mask, name=name, minimum=_MIN_IMAGES)
-        found = estimate_lights(params, images, mask, **options)
-        estimate = normals(images, mask, lights=found, focal=focal)
+        object_pixels(observed, name=name, minimum=_MIN_IMAGES)
+        found = estimate_lights(params, observed, **options)
+        estimate = normals(observed._replace(lights=found))
         if isinstance(estimate, Estimated):
             estimate = estimate.normals
-        return Estimated(estimate, light_errors(found, lights) if lights else {})
+        true = observed.lights
+        return Estimated(estimate, light_errors(found, true) if true else {})
 
     return method
 

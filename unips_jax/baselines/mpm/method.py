@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from unips_jax.baselines.method import Estimated, Lights, Method, Unsupported
+from unips_jax.baselines.method import Estimated, Method, Observed, Unsupported
 from unips_jax.baselines.mpm.frame import frame_by_integrability, frame_by_silhouette
 from unips_jax.baselines.mpm.merge import merge_angles, merge_sync
 from unips_jax.baselines.mpm.patches import (
@@ -52,8 +52,7 @@ class Estimate(NamedTuple):
 
 
 def estimate_mpm(
-    images: np.ndarray,
-    mask: np.ndarray,
+    observed: Observed,
     *,
     merge: Literal["sync", "angles"] = "sync",
     frame: Literal["silhouette", "integrability"] = "silhouette",
@@ -63,8 +62,7 @@ def estimate_mpm(
     """Runs the method.
 
     Args:
-        images: `[N, H, W, 3]`, linear RGB of any scale, at least six.
-        mask: `[H, W]`, bool.
+        observed: the mask and at least six images.
         merge: "sync" reconciles the patches' frames, "angles" follows shortest paths.
         frame: "silhouette" falls back to "integrability" where the mask touches the
             images' border.
@@ -77,7 +75,7 @@ def estimate_mpm(
         ValueError: if an option is none of the above.
     """
     _check_options(merge, frame, albedo)
-    pixels, mask = object_pixels(images, mask, name="mpm", minimum=MIN_IMAGES)
+    pixels, mask = object_pixels(observed, name="mpm", minimum=MIN_IMAGES)
     grey, lit = _grey(pixels, mask)
     if lit.sum() < MIN_PIXELS:
         raise Unsupported(
@@ -130,16 +128,9 @@ def mpm(
     """
     _check_options(merge, frame, albedo)
 
-    def method(
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> Estimated:
-        del lights, focal
+    def method(observed: Observed) -> Estimated:
         found = estimate_mpm(
-            images, mask, merge=merge, frame=frame, albedo=albedo, radius=radius
+            observed, merge=merge, frame=frame, albedo=albedo, radius=radius
         )
         return Estimated(
             found.normals, {"dropped patches (%)": 100 * found.reliability}

@@ -21,7 +21,7 @@ import numpy as np
 from jax import Array
 
 from unips_jax.baselines.balloon import balloon, perspective_depth, to_product_frame
-from unips_jax.baselines.method import Lights, Method, Unsupported
+from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.baselines.pixels import object_pixels
 from unips_jax.baselines.variational.descent import FIRST_ORDER_ITERATIONS, solve
 from unips_jax.baselines.variational.model import Energy, Problem, inner_normals
@@ -72,15 +72,9 @@ def variational(
         raise ValueError(f"volume: expected 'auto' or pixels > 0, got {volume!r}")
     first_order = FIRST_ORDER_ITERATIONS if sh_schedule == "authors" else 0
 
-    def method(
-        images: np.ndarray,
-        mask: np.ndarray,
-        *,
-        lights: Lights | None = None,
-        focal: float | None = None,
-    ) -> np.ndarray:
-        del lights
-        _, mask = object_pixels(images, mask, name="variational", minimum=MIN_IMAGES)
+    def method(observed: Observed) -> np.ndarray:
+        _, mask = object_pixels(observed, name="variational", minimum=MIN_IMAGES)
+        focal = observed.focal
         if camera == "orthographic":
             focal = np.inf
         elif focal is None:
@@ -90,7 +84,7 @@ def variational(
                 "images' side); pass focal or use the orthographic camera",
                 stacklevel=2,
             )
-        problem = make_problem(images, mask, focal=focal, clamp=clamp)
+        problem = make_problem(observed.images, mask, focal=focal, clamp=clamp)
         results = [
             solve(
                 problem,
