@@ -8,7 +8,9 @@ their transposes come from `jax.linear_transpose`.
 
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
+import jax.scipy.sparse.linalg
 from jax import Array, lax
 
 Product = Callable[[Array], Array]
@@ -93,31 +95,9 @@ def solve_cg(
         The solution, same shape.
     """
     inverse = jnp.where(diagonal > 0, 1 / jnp.where(diagonal > 0, diagonal, 1.0), 0.0)
-    goal = rtol**2 * jnp.sum(right**2)
-    x = jnp.zeros_like(right) if start is None else start
-    r = right - product(x)
-    y = inverse * r
-
-    def unfinished(carry: tuple) -> Array:
-        _, r, _, _, count = carry
-        return (jnp.sum(r**2) > goal) & (count < limit)
-
-    def advance(carry: tuple) -> tuple:
-        x, r, direction, ry, count = carry
-        image = product(direction)
-        curvature = jnp.sum(direction * image)
-        step = jnp.where(curvature > 0, ry / jnp.where(curvature > 0, curvature, 1), 0)
-        x = x + step * direction
-        r = r - step * image
-        y = inverse * r
-        ry_new = jnp.sum(r * y)
-        ratio = ry_new / jnp.where(ry > 0, ry, 1.0)
-        # A vanishing curvature means that float32 can do no more: leave.
-        count = jnp.where(curvature > 0, count + 1, limit)
-        return x, r, y + ratio * direction, ry_new, count
-
-    start_carry = (x, r, y, jnp.sum(r * y), jnp.asarray(0))
-    return lax.while_loop(unfinished, advance, start_carry)[0]
+    return jax.scipy.sparse.linalg.cg(
+        product, right, start, tol=rtol, maxiter=limit, M=lambda r: inverse * r
+    )[0]
 
 
 def stencil(center: Array, right: Array, below: Array, aslant: Array) -> Product:
