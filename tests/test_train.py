@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from training_runs import CONFIG, DATA, batch
+from training_runs import CONFIG, batch
 
 from unips_jax.training.config import DataConfig, OptimConfig
 from unips_jax.training.optimizer import make_optimizer, make_schedule
 from unips_jax.training.state import new_state
-from unips_jax.training.step import _accumulate, _untrained, augment, train_step
+from unips_jax.training.step import _untrained, augment, train_step
 
 
 @pytest.mark.parametrize(
@@ -113,32 +113,6 @@ def test_a_step_moves_no_output_far():
         update, _ = optimizer.update({"kernel": gradient}, state, {"kernel": kernel})
         moved = inputs @ update["kernel"].reshape(-1, 64)
         assert 1e-3 < abs(moved).max() < 0.03
-
-
-def test_accumulation_is_the_mean_of_its_parts():
-    def gradient(params, batch, key):
-        weight = jax.random.uniform(key)
-        return {"loss": weight * jnp.mean(params * batch["x"])}, weight * batch["x"][0]
-
-    x, key = jnp.arange(8.0), jax.random.key(1)
-    value, grads = _accumulate(gradient, 3.0, {"x": x}, key, 4)
-    weights = jax.vmap(jax.random.uniform)(jax.random.split(key, 4))
-    np.testing.assert_allclose(value["loss"], jnp.mean(weights * (x[::2] + 0.5) * 3))
-    np.testing.assert_allclose(grads, jnp.mean(weights * x[::2]), rtol=1e-6)
-
-
-@pytest.mark.slow
-def test_accumulated_step_is_the_step():
-    state = new_state(CONFIG, jax.random.key(0))
-    optim = dataclasses.replace(CONFIG.optim, accumulate=4)
-    data = dataclasses.replace(DATA, augment=False, num_pixels=256)
-    whole = dataclasses.replace(CONFIG, data=data)
-    parts = dataclasses.replace(whole, optim=optim)
-    step = jax.jit(train_step, static_argnames="config")
-    _, one = step(state, batch(), jax.random.key(1), config=whole)
-    _, four = step(state, batch(), jax.random.key(1), config=parts)
-    np.testing.assert_allclose(one["loss"], four["loss"], rtol=1e-5)
-    np.testing.assert_allclose(one["grad_norm"], four["grad_norm"], rtol=1e-4)
 
 
 def test_augmented_normals_stay_those_of_the_surface():

@@ -20,18 +20,16 @@ from unips_jax.baselines.pixels import normal_map
 
 _DIRECT_SIZE = 96
 _BURST = 50  # iterations between two looks at the area: float32 cannot see one
+_TOLERANCE = 1e-7  # least change of the area per iteration, as a share of it
+_LIMIT = 10_000  # iterations at most
 
 
-def balloon(
-    mask: Array, volume: Array | float, *, tol: float = 1e-7, limit: int = 10_000
-) -> Array:
+def balloon(mask: Array, volume: Array | float) -> Array:
     """Blows a balloon up over a mask, by projected gradient descent on its area.
 
     Args:
         mask: `[H, W]`, bool.
         volume: mean height over the mask, in pixels, > 0.
-        tol: stops once an iteration changes the area by less than this share.
-        limit: iterations at most.
 
     Returns:
         Heights `[H, W]`, float32, >= 0 up to rounding; zero on the boundary (the mask
@@ -44,13 +42,13 @@ def balloon(
         # The minimum is the same from any start; from half the resolution it is near.
         height, width = (2 * (side // 2) for side in mask.shape)
         quarters = mask[:height, :width].reshape(height // 2, 2, width // 2, 2)
-        coarse = balloon(jnp.sum(quarters, (1, 3)) >= 2, volume / 2, tol=tol)
+        coarse = balloon(jnp.sum(quarters, (1, 3)) >= 2, volume / 2)
         start = 2 * jax.image.resize(coarse, mask.shape, "linear")
-    return _balloon(mask, start, jnp.float32(volume), tol, limit)
+    return _balloon(mask, start, jnp.float32(volume))
 
 
 @jax.jit
-def _balloon(mask: Array, start: Array, volume: Array, tol: float, limit: int) -> Array:
+def _balloon(mask: Array, start: Array, volume: Array) -> Array:
     inner = mask
     for rows, columns in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         inner = inner & shift(mask, rows, columns)
@@ -75,7 +73,7 @@ def _balloon(mask: Array, start: Array, volume: Array, tol: float, limit: int) -
 
     def unfinished(carry: tuple) -> Array:
         _, before, now, done = carry
-        return (jnp.abs(now - before) >= _BURST * tol * now) & (done < limit)
+        return (jnp.abs(now - before) >= _BURST * _TOLERANCE * now) & (done < _LIMIT)
 
     def burst(carry: tuple) -> tuple:
         height, _, now, done = carry

@@ -246,20 +246,19 @@ def _convolution_jvp(strides: Any, padding: Any, primals: Any, tangents: Any) ->
     return y, dy
 
 
-def normalize(x: Array, *, epsilon: float = 1e-12) -> Array:
+def normalize(x: Array) -> Array:
     """Divides vectors by their length, in float32, with finite gradients at zero.
 
     Args:
         x: `[..., 3]`.
-        epsilon: the smallest length divided by.
 
     Returns:
-        `[..., 3]`, unit vectors; zero where `x` is zero, NaN where its squared length
-        is not finite.
+        `[..., 3]`, unit vectors; zero where `x` is shorter than 1e-12, NaN where its
+        squared length is not finite.
     """
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     squared = jnp.sum(jnp.square(x), axis=-1, keepdims=True)
-    zero = squared <= epsilon**2  # false for NaN
+    zero = squared <= 1e-12**2  # false for NaN
     unit = jnp.where(zero, 0.0, x * jax.lax.rsqrt(jnp.where(zero, 1.0, squared)))
     return jnp.where(jnp.isfinite(squared), unit, jnp.nan)
 
@@ -284,23 +283,24 @@ def largest(x: Array, axis: int) -> Array:
     return jnp.sum(jnp.where(indices == first, x, 0), axis=axis)
 
 
-def sinusoids(height: int, width: int, octaves: int = 4) -> Array:
+def sinusoids(height: int, width: int) -> Array:
     """Sines and cosines of a grid's rows and columns, for attention to know places.
+
+    Four octaves of each: the longest period is twice the side, each next one half.
 
     Args:
         height: of the grid, in cells.
         width: likewise.
-        octaves: frequencies; the longest period is twice the side, each next one half.
 
     Returns:
-        `[height, width, 4 * octaves]`.
+        `[height, width, 16]`.
     """
 
     def waves(size: int) -> Array:
         centres = (jnp.arange(size) + 0.5) / size
-        phases = jnp.pi * centres[:, None] * 2.0 ** jnp.arange(octaves)
+        phases = jnp.pi * centres[:, None] * 2.0 ** jnp.arange(4)
         return jnp.concatenate([jnp.sin(phases), jnp.cos(phases)], axis=-1)
 
-    rows = jnp.broadcast_to(waves(height)[:, None], (height, width, 2 * octaves))
-    columns = jnp.broadcast_to(waves(width)[None], (height, width, 2 * octaves))
+    rows = jnp.broadcast_to(waves(height)[:, None], (height, width, 8))
+    columns = jnp.broadcast_to(waves(width)[None], (height, width, 8))
     return jnp.concatenate([rows, columns], axis=-1)

@@ -43,9 +43,7 @@ def split(vectors: Array) -> Point:
     return x, y, z
 
 
-def key_clearance(
-    geometry: Geometry, vector: Array, near: Array, *, steps: int = 12
-) -> Array:
+def key_clearance(geometry: Geometry, vector: Array, near: Array) -> Array:
     """Clearance of the rays to a key light, `[P]` for P = H W.
 
     Marched for every second pixel and interpolated: it is continuous across the
@@ -62,7 +60,7 @@ def key_clearance(
     origin = tuple(picked[:3] + (0.01 + 0.75 * pixel) * picked[3:])
     clear = clearance(
         *(geometry.shape, geometry.to_object, origin, light, reach),  # type: ignore[arg-type]
-        steps=steps,
+        steps=12,
         first=0.03,
         growth=0.22,
     )

@@ -337,8 +337,9 @@ def draw_shape(key: Array, kind: Array) -> Shape:
     base = draws.log_uniform(wave[3], wave[4])
     frequency = base * jnp.asarray([1.0, 1.3, 1.9, 2.7, 3.9]) / radius * 1.4
     roll_off = draws.uniform(0.5, 1.1)
-    amplitude = slope * 0.12 / frequency * frequency[0] ** 0
-    amplitude = amplitude * (frequency / frequency[0]) ** (0.9 - roll_off)
+    amplitude = (
+        slope * 0.12 / frequency * (frequency / frequency[0]) ** (0.9 - roll_off)
+    )
     warp = draws.uniform(0.0, 0.2) / jnp.maximum(amplitude[0], 1e-3)
     gradient = (
         jnp.sum(amplitude * frequency) * 6.3 * (1 + 6.3 * warp * amplitude[0]) * 0.5

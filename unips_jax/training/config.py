@@ -101,7 +101,6 @@ class OptimConfig:
         weight_decay: on the kernels alone.
         b2: decay of the second moments.
         clip_norm: largest global norm of the gradient; 0: no clipping.
-        accumulate: microbatches per step.
         ema_decay: of the averaged parameters that are validated and released; 0: none.
     """
 
@@ -115,7 +114,6 @@ class OptimConfig:
     weight_decay: float = 0.05
     b2: float = 0.999
     clip_norm: float = 1.0
-    accumulate: int = 1
     ema_decay: float = 0.999
 
     def __post_init__(self) -> None:
@@ -126,9 +124,7 @@ class OptimConfig:
         """
         require_choice("name", self.name, ("adamw", "muon"))
         require_choice("schedule", self.schedule, ("cosine", "trapezoid", "step"))
-        require_positive(
-            self, "learning_rate", "decay_every", "decay_rate", "accumulate"
-        )
+        require_positive(self, "learning_rate", "decay_every", "decay_rate")
         require_not_negative(
             self, "warmup_steps", "fall_steps", "weight_decay", "clip_norm"
         )
@@ -222,15 +218,3 @@ class Config:
     optim: OptimConfig = OptimConfig()
     mesh: MeshConfig = MeshConfig()
     train: TrainConfig = TrainConfig()
-
-    def __post_init__(self) -> None:
-        """Checks what concerns several parts.
-
-        Raises:
-            ValueError: naming the fields, what was expected and what came.
-        """
-        require(
-            self.data.batch_size % self.optim.accumulate == 0,
-            f"accumulate: expected a divisor of batch_size={self.data.batch_size}, "
-            f"got {self.optim.accumulate}",
-        )

@@ -131,12 +131,7 @@ def train_step(
     gradient = jax.value_and_grad(
         functools.partial(batch_loss, config=config), has_aux=True
     )
-    if config.optim.accumulate == 1:
-        (loss, metrics), grads = gradient(state.params, batch, key)
-    else:
-        (loss, metrics), grads = _accumulate(
-            gradient, state.params, batch, key, config.optim.accumulate
-        )
+    (loss, metrics), grads = gradient(state.params, batch, key)
     optimizer = make_optimizer(config.optim, config.train.steps)
     updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
     params = optax.apply_updates(state.params, updates)
@@ -165,18 +160,3 @@ def _untrained(grads: Any) -> Array:
 
     total = sum(g.size for g in jax.tree.leaves(grads))
     return jax.tree.reduce(jnp.add, jax.tree.map(count, grads)) / total
-
-
-def _accumulate(gradient, params: Any, batch: Batch, key: Array, parts: int):
-    """Means of values and gradients over microbatches, one at a time."""
-    keys = jax.random.split(key, parts)
-    split = jax.tree.map(lambda x: x.reshape(parts, -1, *x.shape[1:]), batch)
-
-    def add(total, part):
-        return jax.tree.map(jnp.add, total, gradient(params, *part)), None
-
-    first = jax.tree.map(lambda x: x[0], (split, keys))
-    shapes = jax.eval_shape(gradient, params, *first)
-    zero = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    total, _ = jax.lax.scan(add, zero, (split, keys))
-    return jax.tree.map(lambda x: x / parts, total)

@@ -22,7 +22,7 @@ from unips_jax.baselines.variational.model import Energy, Problem, State
 
 FIRST_ORDER_ITERATIONS = 8
 _DEPTH_STEPS = 3
-_TIE = 5e-4
+_TOLERANCE = 1e-6  # least change of the energy, as a share of it, to go on
 
 
 class Result(NamedTuple):
@@ -55,13 +55,12 @@ def initial_state(depth: Array, problem: Problem) -> State:
         length=model.length_of(model.raw_normals(depth, problem)),
         albedo=albedo,
         lighting=jnp.broadcast_to(frontal, (n, channels, 9)),
-        tie=jnp.float32(_TIE),
     )
 
 
 def update_albedo(state: State, problem: Problem) -> Array:
     """Solves for the albedo, `[C, H, W]`: weighted least squares plus Huber TV."""
-    residual, shading = model.residuals(*state[:4], problem)
+    residual, shading = model.residuals(*state, problem)
     weights = 2 * model.cauchy_weights(residual) * problem.mask
     data = jnp.sum(weights * shading**2, axis=0)
     right = jnp.sum(weights * shading * problem.images, axis=0)
@@ -95,7 +94,7 @@ def update_lighting(state: State, problem: Problem, active: Array) -> Array:
     Returns:
         Coefficients `[N, C, 9]`, zero where not in use.
     """
-    residual, shading = model.residuals(*state[:4], problem)
+    residual, shading = model.residuals(*state, problem)
     weights = model.cauchy_weights(residual) * problem.mask
     weights = jnp.where(problem.clamp & (shading <= 0), 0.0, weights)
     normals = model.raw_normals(state.depth, problem) / state.length
@@ -140,7 +139,7 @@ def _reduce(
     (sums, vector), _ = lax.scan(add, ([zero] * 6, [zero] * 3), stack)
     unit = raw / length
     gap = jnp.where(problem.mask, state.length - length, 0.0)
-    tie = state.tie / 2
+    tie = model.TIE / 2
     entries = dict(zip(_PAIRS, sums, strict=True))
     matrix = jnp.stack(
         [jnp.stack([entries[min(i, j), max(i, j)] for j in range(3)]) for i in range(3)]
@@ -185,7 +184,7 @@ def _newton_step(matrix: Array, vector: Array, problem: Problem) -> Array:
 
 def update_depth(state: State, problem: Problem) -> Array:
     """Three damped Gauss-Newton steps on the depth, under frozen weights."""
-    residual, _ = model.residuals(*state[:4], problem)
+    residual, _ = model.residuals(*state, problem)
     weights = model.cauchy_weights(residual)
 
     def objective(depth: Array) -> Array:
@@ -194,7 +193,7 @@ def update_depth(state: State, problem: Problem) -> Array:
         )
         gap = state.length - model.length_of(model.raw_normals(depth, problem))
         gap = jnp.where(problem.mask, gap, 0.0)
-        return 0.5 * (jnp.sum(weights * residual**2) + state.tie * jnp.sum(gap**2))
+        return 0.5 * (jnp.sum(weights * residual**2) + model.TIE * jnp.sum(gap**2))
 
     reference = objective(state.depth)
 
@@ -217,22 +216,19 @@ def update_depth(state: State, problem: Problem) -> Array:
 
 
 @jax.jit
-def iterate(
-    state: State, problem: Problem, active: Array, growth: Array | float = 1.0
-) -> State:
+def iterate(state: State, problem: Problem, active: Array) -> State:
     """One round of all blocks: albedo, lighting, depth, lagged length.
 
     Args:
         state: the current estimate.
         problem: the images and the camera.
         active: `[9]`, 1.0 for the harmonics in use, 0.0 for the others.
-        growth: factor on the tie.
     """
     state = state._replace(albedo=update_albedo(state, problem))
     state = state._replace(lighting=update_lighting(state, problem, active))
     state = state._replace(depth=update_depth(state, problem))
     length = model.length_of(model.raw_normals(state.depth, problem))
-    return state._replace(length=length, tie=growth * state.tie)
+    return state._replace(length=length)
 
 
 def solve(
@@ -241,27 +237,23 @@ def solve(
     *,
     iterations: int = 20,
     first_order: int = FIRST_ORDER_ITERATIONS,
-    growth: float = 1.0,
-    tol: float = 1e-6,
 ) -> Result:
     """Runs the descent from a depth map.
 
     Args:
         problem: the images and the camera.
         depth: `[H, W]`, positive inside the mask for the perspective camera.
-        iterations: rounds at most.
+        iterations: rounds at most; fewer where the weighted energy settles.
         first_order: rounds with first-order lighting, before the second order.
-        growth: factor on the tie per round.
-        tol: stops once the weighted energy changes by less than this share.
     """
     state = initial_state(depth, problem)
     trace = [model.energy(state, problem)]
     for index in range(iterations):
         active = jnp.arange(9) < (4 if index < first_order else 9)
-        state = iterate(state, problem, active.astype(jnp.float32), growth)
+        state = iterate(state, problem, active.astype(jnp.float32))
         trace.append(model.energy(state, problem))
         before, now = (float(e.weighted + e.smoothness) for e in trace[-2:])
-        if abs(before - now) < tol * abs(before) and index + 1 > first_order:
+        if abs(before - now) < _TOLERANCE * abs(before) and index + 1 > first_order:
             break
     raw = model.raw_normals(state.depth, problem)
     return Result(state, raw / model.length_of(raw), trace)

@@ -21,6 +21,7 @@ from unips_jax.baselines.grid import central, forward, shift
 HUBER = 0.1  # where the albedo's smoothness turns from quadratic to linear
 CAUCHY = 1.0  # residual at which a measurement has half its weight
 SMOOTHNESS = 0.045245  # per image, over CAUCHY
+TIE = 5e-4  # weight that ties the lagged length to |N(depth)|
 
 _W0, _W1, _G, _A = (math.sqrt(k / (4 * math.pi)) for k in (1, 3, 5, 15))
 
@@ -60,14 +61,12 @@ class State(NamedTuple):
         length: `[H, W]`, the lagged length of N(depth).
         albedo: `[C, H, W]`.
         lighting: `[N, C, 9]`, spherical-harmonic coefficients.
-        tie: scalar, weight that ties `length` to |N(depth)|.
     """
 
     depth: Array
     length: Array
     albedo: Array
     lighting: Array
-    tie: Array
 
 
 class Energy(NamedTuple):
@@ -203,7 +202,7 @@ def huber(t: Array) -> Array:
 @jax.jit
 def energy(state: State, problem: Problem) -> Energy:
     """Measures a state; see `Energy`."""
-    residual, _ = residuals(*state[:4], problem)
+    residual, _ = residuals(*state, problem)
     lengths = length_of(raw_normals(state.depth, problem))
     gap = jnp.where(problem.mask, state.length - lengths, 0.0)
     variation = huber(central(state.albedo, problem.mask))
@@ -211,5 +210,5 @@ def energy(state: State, problem: Problem) -> Energy:
         photometric=CAUCHY**2 * jnp.sum(jnp.log1p((residual / CAUCHY) ** 2)),
         weighted=0.5 * jnp.sum(cauchy_weights(residual) * residual**2),
         smoothness=problem.smoothness * jnp.sum(variation),
-        tie=0.5 * state.tie * jnp.sum(gap**2),
+        tie=0.5 * TIE * jnp.sum(gap**2),
     )
