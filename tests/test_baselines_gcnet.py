@@ -13,16 +13,10 @@ import numpy as np
 import pytest
 
 from unips_jax.baselines import calibrated
-from unips_jax.baselines.gcnet import (
-    lights as gcnet_lights,
-)
-from unips_jax.baselines.gcnet import (
-    methods as gcnet,
-)
-from unips_jax.baselines.gcnet import model
-from unips_jax.baselines.gcnet import (
-    weights as gcnet_weights,
-)
+from unips_jax.baselines.gcnet import crops, networks
+from unips_jax.baselines.gcnet import lights as gcnet_lights
+from unips_jax.baselines.gcnet import pipeline as gcnet
+from unips_jax.baselines.gcnet import weights as gcnet_weights
 from unips_jax.baselines.method import Lights, Observed, Unsupported
 from unips_jax.errors import InputError
 
@@ -77,11 +71,11 @@ def channels_last(array):
 
 
 def resized(images, mask):
-    return jax.vmap(functools.partial(gcnet._resized, side=128))(images, mask)
+    return jax.vmap(functools.partial(crops.resized, side=128))(images, mask)
 
 
 def run(params, images, mask):
-    return jax.jit(model.gcnet_of(params).apply)({"params": params}, images, mask)
+    return jax.jit(networks.gcnet_of(params).apply)({"params": params}, images, mask)
 
 
 def assert_close(found, expected, tolerance, name):
@@ -140,15 +134,15 @@ def test_case_b_resizes_and_ends_in_native_normals(golden, params):
 
 def test_case_c_ps_fcn_alone(golden, params):
     images, _ = unpacked(golden, "e")
-    x = model.with_lights(images, golden["c_dirs"][None], golden["c_ints"][None])
-    found = jax.jit(model.NormalNet().apply)({"params": params["ps_fcn"]}, x)
+    x = networks.with_lights(images, golden["c_dirs"][None], golden["c_ints"][None])
+    found = jax.jit(networks.NormalNet().apply)({"params": params["ps_fcn"]}, x)
     assert_close(found, channels_last(golden["c_normal"]), LOOSE, "c_normal")
 
 
 def test_case_d_lcnet(golden, params):
     images, mask = unpacked(golden, "a")
     masks = np.broadcast_to(mask[:, None, ..., None], (*images.shape[:-1], 1))
-    net = model.light_net_of(params["lcnet"])
+    net = networks.light_net_of(params["lcnet"])
     x = np.concatenate([images, masks], axis=-1)
     logits = jax.jit(net.apply)({"params": params["lcnet"]}, x)
     for found, name in zip(logits, ("dirs_x", "dirs_y", "ints"), strict=False):
@@ -163,9 +157,9 @@ def test_case_e_every_stage(golden, params):
     images, mask = unpacked(golden, "e")
     stages = run(params["gcnet"], images, mask)
     assert_stages_match(stages, golden, "e")
-    x = model.with_lights(images, *soft_lights(stages.first))
+    x = networks.with_lights(images, *soft_lights(stages.first))
     coarse = params["gcnet"]["coarse"]
-    extract = functools.partial(model.normal_net_of(coarse).apply, method="extract")
+    extract = functools.partial(networks.normal_net_of(coarse).apply, method="extract")
     features = jax.jit(extract)({"params": coarse}, x).max(1)
     expected = channels_last(golden["e_N_fused_feat"])
     assert_close(features, expected, LOOSE, "e_N_fused_feat")
@@ -193,14 +187,14 @@ def test_kernels_lie_the_right_way_round():
     dot[0, 1, 1] = 1
     weight = np.arange(1.0, 33, dtype=np.float32).reshape(1, 2, 4, 4)  # in, out
     kernel = gcnet_weights._convert(weight, transposed=True)
-    found = model.Deconv(2).apply({"params": {"conv": {"kernel": kernel}}}, dot)
+    found = networks.Deconv(2).apply({"params": {"conv": {"kernel": kernel}}}, dot)
     # y[2 i - 1 + k] = x[i] w[k]: the weight itself about the pixel.
     expected = np.pad(np.moveaxis(weight[0], 0, -1), ((1, 1), (1, 1), (0, 0)))
     np.testing.assert_allclose(found[0], expected)
     weight = np.arange(1.0, 19, dtype=np.float32).reshape(2, 1, 3, 3)  # out, in
     kernel = gcnet_weights._convert(weight, transposed=False)
     layer = {"conv": {"kernel": kernel, "bias": np.array([0, -100], np.float32)}}
-    found = model.Conv(2).apply({"params": layer}, dot)
+    found = networks.Conv(2).apply({"params": layer}, dot)
     # y[i] = x[i - 1 + k] w[k]: the weight upside down; LeakyReLU leaves a tenth.
     np.testing.assert_allclose(found[0, ..., 0], weight[0, 0, ::-1, ::-1])
     expected = 0.1 * (weight[1, 0, ::-1, ::-1] - 100)
@@ -353,18 +347,18 @@ def test_chunks_of_images_do_not_matter(params):
 def test_normalisations():
     images, mask, _ = sphere()
     for norm, peak in (("range01", 0.1), ("literal10", 10.0)):
-        scaled, gain = gcnet.normalise(images, mask, norm=norm, per="image")
+        scaled, gain = crops.normalise(images, mask, norm=norm, per="image")
         np.testing.assert_allclose(scaled.max(axis=(1, 2, 3)), peak, rtol=1e-6)
         np.testing.assert_allclose(
             scaled / gain[:, None, None, None], images, rtol=1e-5
         )
-        scaled, gain = gcnet.normalise(images, mask, norm=norm, per="stack")
+        scaled, gain = crops.normalise(images, mask, norm=norm, per="stack")
         assert scaled.max() == pytest.approx(peak)
         assert np.ptp(gain) == 0
-    scaled, gain = gcnet.normalise(images, mask, norm="none", per="image")
+    scaled, gain = crops.normalise(images, mask, norm="none", per="image")
     np.testing.assert_array_equal(scaled, images)
     with pytest.raises(ValueError, match="expected norm"):
-        gcnet.normalise(images, mask, norm="max", per="image")
+        crops.normalise(images, mask, norm="max", per="image")
 
 
 def test_intensities_refer_to_the_given_images(params):
@@ -411,9 +405,9 @@ def test_lights_feed_any_calibrated_method(params):
 
 
 def test_small_networks_of_the_same_design_work():
-    net = model.GCNet(
-        model.LightNet(widths=(8, 8, 8, 8, 8, 8, 16), classifier=8, hidden=8),
-        model.NormalNet(widths=(4, 4, 8, 8, 8, 8, 8), regressor_widths=(8, 8, 4)),
+    net = networks.GCNet(
+        networks.LightNet(widths=(8, 8, 8, 8, 8, 8, 16), classifier=8, hidden=8),
+        networks.NormalNet(widths=(4, 4, 8, 8, 8, 8, 8), regressor_widths=(8, 8, 4)),
     )
     images, mask, _ = sphere()
     inputs = np.zeros((1, 2, 64, 64, 3), np.float32), np.zeros((1, 64, 64), np.float32)

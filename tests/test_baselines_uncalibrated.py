@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from unips_jax.baselines import bas_relief, surface, uncalibrated
+from unips_jax.baselines import bas_relief, silhouette, uncalibrated
 from unips_jax.baselines.method import Observed, Unsupported
 from unips_jax.baselines.pixels import normal_map
 from unips_jax.metrics import mean_angular_error_deg
@@ -210,7 +210,7 @@ def test_flat_albedo_finds_the_paint():
 def test_silhouette_points_outwards_and_up():
     mask = np.zeros((40, 50), bool)
     mask[10:30, 15:35] = True
-    outline, outward = surface.silhouette(mask, name="test")
+    outline, outward = silhouette.silhouette(mask, name="test")
     directions = np.zeros((40, 50, 2))
     directions[outline] = outward
     np.testing.assert_allclose(directions[10, 25], [0, 1], atol=1e-6)

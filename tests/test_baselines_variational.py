@@ -11,13 +11,13 @@ from unips_jax.baselines import grid
 from unips_jax.baselines.balloon import balloon, hemisphere
 from unips_jax.baselines.method import Observed, Unsupported
 from unips_jax.baselines.variational import descent, model
-from unips_jax.baselines.variational import method as module
-from unips_jax.baselines.variational.method import (
+from unips_jax.baselines.variational import pipeline as module
+from unips_jax.baselines.variational.model import Energy
+from unips_jax.baselines.variational.pipeline import (
     initial_depth,
     make_problem,
     variational,
 )
-from unips_jax.baselines.variational.model import Energy
 from unips_jax.metrics import mean_angular_error_deg
 
 

@@ -190,7 +190,7 @@ def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys)
 
 @pytest.mark.slow
 def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
-    from unips_jax.baselines.gcnet.methods import gcnet
+    from unips_jax.baselines.gcnet.pipeline import gcnet
     from unips_jax.baselines.method import Observed
 
     monkeypatch.syspath_prepend(TOOLS)

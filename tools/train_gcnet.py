@@ -24,7 +24,7 @@ from flax.serialization import from_bytes, to_bytes
 from jax import Array
 
 from unips_jax.baselines.gcnet.lights import Logits, encode, light_errors, soft_lights
-from unips_jax.baselines.gcnet.model import GCNet, LightNet, NormalNet, with_lights
+from unips_jax.baselines.gcnet.networks import GCNet, LightNet, NormalNet, with_lights
 from unips_jax.baselines.gcnet.weights import save_params
 from unips_jax.baselines.method import Lights
 from unips_jax.console import keep_compiled

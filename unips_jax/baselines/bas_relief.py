@@ -17,7 +17,7 @@ from scipy import ndimage, sparse
 from scipy.sparse import linalg
 
 from unips_jax.baselines.method import Unsupported
-from unips_jax.baselines.surface import smooth
+from unips_jax.baselines.silhouette import smooth
 
 _BINS = 1024
 _PIXELS = 4096  # at most, for the entropy

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.baselines.pixels import normal_map, object_pixels
-from unips_jax.baselines.surface import derivatives, silhouette, smooth
+from unips_jax.baselines.silhouette import derivatives, silhouette, smooth
 from unips_jax.baselines.uncalibrated import factorise
 
 _NAME = "first_order_harmonics"

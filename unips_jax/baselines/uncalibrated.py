@@ -9,7 +9,7 @@ one are float64 NumPy; one object takes well under a second apart from the entro
 search, which is compiled.
 """
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy import ndimage
@@ -17,7 +17,8 @@ from scipy import ndimage
 from unips_jax.baselines import bas_relief
 from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.baselines.pixels import normal_map, object_pixels
-from unips_jax.baselines.surface import convex_sign, derivatives, smooth
+from unips_jax.baselines.silhouette import convex_sign, derivatives, smooth
+from unips_jax.checks import require_choice
 
 Resolve = Literal["entropy", "diffuse_maxima"]
 
@@ -37,10 +38,7 @@ def factorisation(
     Raises:
         ValueError: if `resolve` is neither.
     """
-    if resolve not in ("entropy", "diffuse_maxima"):
-        raise ValueError(
-            f"resolve: expected 'entropy' or 'diffuse_maxima', got {resolve!r}"
-        )
+    require_choice("resolve", resolve, get_args(Resolve))
 
     def method(observed: Observed) -> np.ndarray:
         pixels, mask = object_pixels(observed, name="factorisation")

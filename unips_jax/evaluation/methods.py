@@ -54,36 +54,36 @@ BASELINES: dict[str, Baseline] = {
     "gcnet": Baseline(
         "GCNet (Chen et al., ECCV 2020), re-implemented, with the weights given: "
         "lights estimated, then normals by a calibrated method",
-        *("gcnet.methods", "gcnet"),
+        *("gcnet.pipeline", "gcnet"),
         network="gcnet",
     ),
     "gcnet-small": Baseline(
         "GCNet architecture at half the width, our weights (tools/train_gcnet.py): "
         "lights estimated, then normals by least squares",
-        *("gcnet.methods", "gcnet"),
+        *("gcnet.pipeline", "gcnet"),
         {"weights": str(_SMALL), "normals": "woodham", "side": 64},
     ),
     "lcnet": Baseline(
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
         "given: lights estimated, then normals by a calibrated method",
-        *("gcnet.methods", "lcnet"),
+        *("gcnet.pipeline", "lcnet"),
         network="lcnet",
     ),
     "ps-fcn": Baseline(
         "PS-FCN (Chen et al., ECCV 2018), re-implemented, with the weights given; "
         "calibrated",
-        *("gcnet.methods", "ps_fcn"),
+        *("gcnet.pipeline", "ps_fcn"),
         network="ps_fcn",
     ),
     "mpm": Baseline(
         "MPM-style: our reconstruction from the idea of Mo et al. (CVPR 2018); the "
         "authors' code is not public. Uncalibrated, orthographic, convex objects",
-        *("mpm.method", "mpm"),
+        *("mpm.pipeline", "mpm"),
     ),
     "variational": Baseline(
         "Variational (Haefner et al., ICCV 2019), re-implemented. Uncalibrated; "
         "Lambertian, starts from a balloon",
-        *("variational.method", "variational"),
+        *("variational.pipeline", "variational"),
     ),
     "woodham": Baseline(
         "Least squares, calibrated, with the recipe of the DiLiGenT table",

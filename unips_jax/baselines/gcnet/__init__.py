@@ -1,1 +1,1 @@
-"""GCNet, LCNet and PS-FCN, re-implemented."""
+"""GCNet, LCNet and PS-FCN, re-implemented: begin in `pipeline`."""

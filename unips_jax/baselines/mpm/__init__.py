@@ -1,1 +1,1 @@
-"""An MPM-style method: our reconstruction."""
+"""An MPM-style method, our reconstruction: begin in `pipeline`."""

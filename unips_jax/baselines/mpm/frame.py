@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array, lax
 from scipy import ndimage
 
-from unips_jax.baselines.surface import derivatives, silhouette, smooth
+from unips_jax.baselines.silhouette import derivatives, silhouette, smooth
 
 _SAMPLES = 4096
 _STEPS = 25

@@ -1,1 +1,1 @@
-"""Variational uncalibrated photometric stereo, re-implemented."""
+"""Variational uncalibrated photometric stereo, re-implemented: begin in `pipeline`."""

@@ -14,7 +14,7 @@ stereo under general lighting" (ICCV 2019).
 """
 
 import warnings
-from typing import Literal
+from typing import Literal, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,18 +25,23 @@ from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.baselines.pixels import object_pixels
 from unips_jax.baselines.variational.descent import FIRST_ORDER_ITERATIONS, solve
 from unips_jax.baselines.variational.model import Energy, Problem, inner_normals
+from unips_jax.checks import require_choice
+
+Schedule = Literal["authors", "second"]
+Camera = Literal["perspective", "orthographic"]
+Border = Literal["authors", "inside"]
 
 MIN_IMAGES = 3
 
 
 def variational(
     *,
-    sh_schedule: Literal["authors", "second"] = "authors",
-    camera: Literal["perspective", "orthographic"] = "perspective",
+    sh_schedule: Schedule = "authors",
+    camera: Camera = "perspective",
     volume: float | Literal["auto"] | None = None,
     iterations: int = 20,
     clamp: bool = False,
-    border: Literal["authors", "inside"] = "authors",
+    border: Border = "authors",
 ) -> Method:
     """Makes the variational method.
 
@@ -61,13 +66,9 @@ def variational(
     Raises:
         ValueError: if an option is none of the above.
     """
-    for name, value, choices in (
-        ("sh_schedule", sh_schedule, ("authors", "second")),
-        ("camera", camera, ("perspective", "orthographic")),
-        ("border", border, ("authors", "inside")),
-    ):
-        if value not in choices:
-            raise ValueError(f"{name}: expected one of {choices}, got {value!r}")
+    require_choice("sh_schedule", sh_schedule, get_args(Schedule))
+    require_choice("camera", camera, get_args(Camera))
+    require_choice("border", border, get_args(Border))
     if not (volume in (None, "auto") or (not isinstance(volume, str) and volume > 0)):
         raise ValueError(f"volume: expected 'auto' or pixels > 0, got {volume!r}")
     first_order = FIRST_ORDER_ITERATIONS if sh_schedule == "authors" else 0

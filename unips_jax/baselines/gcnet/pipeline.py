@@ -5,7 +5,7 @@ The published rows use PS-FCN for the normals, here `ps_fcn`. Source: Chen et al
 flexible learning framework for photometric stereo" (ECCV 2018); "Self-calibrating
 deep photometric stereo networks" (CVPR 2019). A re-implementation of the authors'
 architecture, checked against their networks' numbers. Their weights are not part of
-this package: the user supplies and converts them (`gcnet_weights.from_official`).
+this package: the user supplies and converts them (`gcnet.weights.from_official`).
 Without weights the methods raise `Unsupported`; nothing runs untrained.
 
 The networks are not indifferent to exposure. The UniPS paper rescales each image
@@ -18,7 +18,7 @@ back, so they always refer to the images as given.
 
 import functools
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,18 +26,16 @@ import numpy as np
 from jax import Array
 
 from unips_jax.baselines.calibrated import check_lights
-from unips_jax.baselines.gcnet import model
+from unips_jax.baselines.gcnet import networks
+from unips_jax.baselines.gcnet.crops import Norm, Per, box, masked, normalise, resized
 from unips_jax.baselines.gcnet.lights import hard_lights, light_errors, soft_lights
-from unips_jax.baselines.gcnet.model import Params
+from unips_jax.baselines.gcnet.networks import Params
 from unips_jax.baselines.gcnet.weights import Network, load_params
 from unips_jax.baselines.method import Estimated, Lights, Method, Observed, Unsupported
 from unips_jax.baselines.pixels import object_pixels
 
-Norm = Literal["range01", "literal10", "none"]
-Per = Literal["image", "stack"]
 Weights = Params | Path | str | None
 
-_PEAK = {"range01": 0.1, "literal10": 10.0}
 _MIN_IMAGES = 2
 
 
@@ -107,9 +105,9 @@ def ps_fcn(
         params = loaded()
         _, mask = object_pixels(observed, name="ps_fcn", minimum=1)
         directions, intensities = check_lights("ps_fcn", observed, coplanar=True)
-        rows, columns = _box(mask, margin)
+        rows, columns = box(mask, margin)
         inside = mask[rows, columns]
-        crop = _masked(observed.images[:, rows, columns], inside)
+        crop = masked(observed.images[:, rows, columns], inside)
         height, width = inside.shape
         pad = ((0, 0), (0, -height % 4), (0, -width % 4), (0, 0))
         estimate = _normals(params, np.pad(crop, pad), directions, intensities, chunk)
@@ -148,47 +146,14 @@ def estimate_lights(
         Unsupported: if there are fewer than two images, or no object.
     """
     _, mask = object_pixels(observed, name="estimate_lights", minimum=_MIN_IMAGES)
-    rows, columns = _box(mask, margin)
+    rows, columns = box(mask, margin)
     crop, inside = observed.images[:, rows, columns], mask[rows, columns]
     scaled, gain = normalise(crop, inside, norm=norm, per=per)
     network = _gcnet_lights if "light_1" in params else _lcnet_lights
-    small, soft = _resized(_masked(scaled, inside), inside.astype(np.float32), side)
+    small, soft = resized(masked(scaled, inside), inside.astype(np.float32), side)
     directions, intensities = network(params, small, soft)
     intensities = np.asarray(intensities) / gain[:, None]
     return Lights(np.asarray(directions), np.repeat(intensities, 3, axis=1))
-
-
-def normalise(
-    images: np.ndarray, mask: np.ndarray, *, norm: Norm, per: Per
-) -> tuple[np.ndarray, np.ndarray]:
-    """Scales images so that their maximum over the mask is where `norm` puts it.
-
-    Args:
-        images: `[N, H, W, 3]`.
-        mask: `[H, W]`, bool, not empty.
-        norm: maximum at 0.1 ("range01"), at 10 ("literal10"), or as it is ("none").
-        per: one maximum for each image, or one for the stack. An image that is black
-            inside the mask is left as it is.
-
-    Returns:
-        The images, and the factor of each, `[N]`.
-
-    Raises:
-        ValueError: if `norm` or `per` is none of these.
-    """
-    if norm not in (*_PEAK, "none") or per not in ("image", "stack"):
-        raise ValueError(
-            f"expected norm in {(*_PEAK, 'none')} and per in ('image', 'stack'), got "
-            f"{norm!r} and {per!r}"
-        )
-    gain = np.ones(len(images), np.float32)
-    if norm != "none":
-        peaks = images[:, mask].max(axis=(1, 2)).astype(np.float32)
-        if per == "stack":
-            peaks = np.full_like(peaks, peaks.max())
-        gain = np.where(peaks > 0, _PEAK[norm] / np.where(peaks > 0, peaks, 1), 1)
-        gain = gain.astype(np.float32)
-    return images * gain[:, None, None, None], gain
 
 
 def _uncalibrated(
@@ -244,37 +209,10 @@ def _loader(name: Network, weights: Weights) -> Any:
     return loaded
 
 
-def _box(mask: np.ndarray, margin: int | None) -> tuple[slice, slice]:
-    """The mask's bounding box and a margin, within the image."""
-    if margin is None:
-        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
-    sides = []
-    for axis, size in ((1, mask.shape[0]), (0, mask.shape[1])):
-        inside = np.flatnonzero(mask.any(axis=axis))
-        sides.append(
-            slice(max(inside[0] - margin, 0), min(inside[-1] + 1 + margin, size))
-        )
-    return sides[0], sides[1]
-
-
-def _masked(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    return np.where(mask[..., None], images, 0).astype(np.float32)
-
-
-@functools.partial(jax.jit, static_argnames="side")
-def _resized(images: Array, mask: Array, side: int) -> tuple[Array, Array]:
-    """Images `[N, H, W, 3]` and mask `[H, W]` at another size, half-pixel bilinear."""
-    resize = functools.partial(jax.image.resize, method="linear", antialias=False)
-    return (
-        resize(images, (len(images), side, side, 3)),
-        resize(mask, (side, side)),
-    )
-
-
 @jax.jit
 def _gcnet_lights(params: Params, images: Array, mask: Array) -> tuple[Array, Array]:
     variables = {"params": params}
-    stages: Any = model.gcnet_of(params).apply(variables, images[None], mask[None])
+    stages: Any = networks.gcnet_of(params).apply(variables, images[None], mask[None])
     directions, intensities = soft_lights(stages.second)
     return directions[0], intensities[0]
 
@@ -283,7 +221,7 @@ def _gcnet_lights(params: Params, images: Array, mask: Array) -> tuple[Array, Ar
 def _lcnet_lights(params: Params, images: Array, mask: Array) -> tuple[Array, Array]:
     masks = jnp.broadcast_to(mask[..., None], (*images.shape[:-1], 1))
     x = jnp.concatenate([images, masks], axis=-1)[None]
-    logits: Any = model.light_net_of(params).apply({"params": params}, x)
+    logits: Any = networks.light_net_of(params).apply({"params": params}, x)
     directions, intensities = hard_lights(logits)
     return directions[0], intensities[0]
 
@@ -292,8 +230,8 @@ def _lcnet_lights(params: Params, images: Array, mask: Array) -> tuple[Array, Ar
 def _normals(
     params: Params, images: Array, directions: Array, intensities: Array, chunk: int
 ) -> Array:
-    return model.normals_by_chunks(
-        model.normal_net_of(params),
+    return networks.normals_by_chunks(
+        networks.normal_net_of(params),
         params,
         images,
         directions,

@@ -15,7 +15,7 @@ Source: Mo, Shi, Lu, Yeung, Matsushita, "Uncalibrated photometric stereo under n
 illumination" (CVPR 2018), as compared with in UniPS (Ikehata, CVPR 2022).
 """
 
-from typing import Literal, NamedTuple
+from typing import Literal, get_args
 
 import numpy as np
 from scipy import ndimage
@@ -26,127 +26,83 @@ from unips_jax.baselines.mpm.merge import merge_angles, merge_sync
 from unips_jax.baselines.mpm.patches import (
     MIN_IMAGES,
     MIN_PIXELS,
+    Patch,
     flatten_albedo,
     solve_patches,
 )
 from unips_jax.baselines.pixels import normal_map, object_pixels
-from unips_jax.baselines.surface import convex_sign
+from unips_jax.baselines.silhouette import convex_sign
+from unips_jax.checks import require_choice
+
+Merge = Literal["sync", "angles"]
+Frame = Literal["silhouette", "integrability"]
+Albedo = Literal["profile", "none"]
 
 _PATCH = 0.11  # half-width of a patch over the images' side
 _SATURATED = 1e-3  # share of samples at the very maximum that means clipping
 
 
-class Estimate(NamedTuple):
-    """What the method found.
-
-    Attributes:
-        normals: `[H, W, 3]`, float32, unit length inside the mask, zero outside.
-        reliability: share of patches that had to be dropped, in [0, 1]: 0 is good,
-            0.3 means that the light was not what the method assumes.
-        frame: how the frame was fixed, "silhouette" or "integrability".
-    """
-
-    normals: np.ndarray
-    reliability: float
-    frame: str
-
-
-def estimate_mpm(
-    observed: Observed,
+def mpm(
     *,
-    merge: Literal["sync", "angles"] = "sync",
-    frame: Literal["silhouette", "integrability"] = "silhouette",
-    albedo: Literal["profile", "none"] = "profile",
+    merge: Merge = "sync",
+    frame: Frame = "silhouette",
+    albedo: Albedo = "profile",
     radius: int | None = None,
-) -> Estimate:
-    """Runs the method.
+) -> Method:
+    """Makes the MPM-style method.
 
     Args:
-        observed: the mask and at least six images.
         merge: "sync" reconciles the patches' frames, "angles" follows shortest paths.
         frame: "silhouette" falls back to "integrability" where the mask touches the
             images' border.
         albedo: "profile" divides an estimate of piecewise constant albedo out.
         radius: half-width of a patch in pixels; None: 0.11 of the images' side.
 
+    Returns:
+        The method; it ignores lights and focal length, and says what share of its
+        patches it dropped: 0 is good, 30 % means that the light was not what it
+        assumes. It raises `Unsupported` if there are fewer than six images, the mask
+        is empty or too small, or no patch can be solved.
+
     Raises:
-        Unsupported: if there are fewer than six images, the mask is empty or too
-            small, or no patch can be solved.
         ValueError: if an option is none of the above.
     """
-    _check_options(merge, frame, albedo)
-    pixels, mask = object_pixels(observed, name="mpm", minimum=MIN_IMAGES)
-    grey, lit = _grey(pixels, mask)
-    if lit.sum() < MIN_PIXELS:
-        raise Unsupported(
-            f"mpm: needs at least {MIN_PIXELS} lit, unsaturated pixels on the object, "
-            f"got {lit.sum()}"
-        )
-    if albedo == "profile":
-        grey = flatten_albedo(grey, lit)
+    require_choice("merge", merge, get_args(Merge))
+    require_choice("frame", frame, get_args(Frame))
+    require_choice("albedo", albedo, get_args(Albedo))
+    merge_patches = merge_sync if merge == "sync" else merge_angles
+
+    def method(observed: Observed) -> Estimated:
+        pixels, mask = object_pixels(observed, name="mpm", minimum=MIN_IMAGES)
+        grey, lit = _grey(pixels, mask)
+        if albedo == "profile":
+            grey = flatten_albedo(grey, lit)
+        patches, dropped = _patches(grey, lit, radius)
+        field = _fill(merge_patches(patches, lit.sum()), lit, mask)
+        if frame == "silhouette" and not _touches_border(mask):
+            field = frame_by_silhouette(field, mask, name="mpm")
+        else:
+            field = frame_by_integrability(field, mask)
+        field = _make_convex(field, mask)
+        normals = normal_map(field[mask], mask)
+        return Estimated(normals, {"dropped patches (%)": 100 * dropped})
+
+    return method
+
+
+def _patches(
+    grey: np.ndarray, lit: np.ndarray, radius: int | None
+) -> tuple[list[Patch], float]:
+    """The patches that could be solved, and the share that could not, in [0, 1]."""
     if radius is None:
-        radius = max(round(_PATCH * max(mask.shape)), 2)
+        radius = max(round(_PATCH * max(lit.shape)), 2)
     patches, dropped = solve_patches(grey, lit, radius=radius)
     if not patches:
         raise Unsupported(
             f"mpm: none of the patches of {2 * radius + 1} pixels could be solved; the "
             "object is too small or its light too uniform"
         )
-    merged = (merge_sync if merge == "sync" else merge_angles)(patches, lit.sum())
-    field = _fill(merged, lit, mask)
-    if frame == "silhouette" and _touches_border(mask):
-        frame = "integrability"
-    if frame == "silhouette":
-        field = frame_by_silhouette(field, mask, name="mpm")
-    else:
-        field = frame_by_integrability(field, mask)
-    field = _make_convex(field, mask)
-    return Estimate(normal_map(field[mask], mask), dropped, frame)
-
-
-def mpm(
-    *,
-    merge: Literal["sync", "angles"] = "sync",
-    frame: Literal["silhouette", "integrability"] = "silhouette",
-    albedo: Literal["profile", "none"] = "profile",
-    radius: int | None = None,
-) -> Method:
-    """Makes the MPM-style method.
-
-    Args:
-        merge: as in `estimate_mpm`, which lists all options.
-        frame: likewise.
-        albedo: likewise.
-        radius: likewise.
-
-    Returns:
-        The method; it ignores lights and focal length, and says how many patches it
-        dropped.
-
-    Raises:
-        ValueError: if an option is unknown.
-    """
-    _check_options(merge, frame, albedo)
-
-    def method(observed: Observed) -> Estimated:
-        found = estimate_mpm(
-            observed, merge=merge, frame=frame, albedo=albedo, radius=radius
-        )
-        return Estimated(
-            found.normals, {"dropped patches (%)": 100 * found.reliability}
-        )
-
-    return method
-
-
-def _check_options(merge: str, frame: str, albedo: str) -> None:
-    for name, value, choices in (
-        ("merge", merge, ("sync", "angles")),
-        ("frame", frame, ("silhouette", "integrability")),
-        ("albedo", albedo, ("profile", "none")),
-    ):
-        if value not in choices:
-            raise ValueError(f"{name}: expected one of {choices}, got {value!r}")
+    return patches, dropped
 
 
 def _grey(pixels: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -161,6 +117,11 @@ def _grey(pixels: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     lit = mask.copy()
     clear = np.isfinite(values).sum(0) >= min(MIN_IMAGES, count)
     lit[mask] = clear & (np.nanmax(np.where(clear, values, 0), axis=0) > 0)
+    if lit.sum() < MIN_PIXELS:
+        raise Unsupported(
+            f"mpm: needs at least {MIN_PIXELS} lit, unsaturated pixels on the object, "
+            f"got {lit.sum()}"
+        )
     return grey, lit
 
 

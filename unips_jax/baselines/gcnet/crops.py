@@ -1,0 +1,81 @@
+"""What the networks of GCNet, LCNet and PS-FCN are shown: crops, scaled and resized."""
+
+import functools
+from typing import Literal, get_args
+
+import jax
+import numpy as np
+from jax import Array
+
+from unips_jax.checks import require_choice
+
+Norm = Literal["range01", "literal10", "none"]
+Per = Literal["image", "stack"]
+
+_PEAK = {"range01": 0.1, "literal10": 10.0}
+
+
+def normalise(
+    images: np.ndarray, mask: np.ndarray, *, norm: Norm, per: Per
+) -> tuple[np.ndarray, np.ndarray]:
+    """Scales images so that their maximum over the mask is where `norm` puts it.
+
+    Args:
+        images: `[N, H, W, 3]`.
+        mask: `[H, W]`, bool, not empty.
+        norm: maximum at 0.1 ("range01"), at 10 ("literal10"), or as it is ("none").
+        per: one maximum for each image, or one for the stack. An image that is black
+            inside the mask is left as it is.
+
+    Returns:
+        The images, and the factor of each, `[N]`.
+
+    Raises:
+        ValueError: if `norm` or `per` is none of these.
+    """
+    require_choice("norm", norm, get_args(Norm))
+    require_choice("per", per, get_args(Per))
+    gain = np.ones(len(images), np.float32)
+    if norm != "none":
+        peaks = images[:, mask].max(axis=(1, 2)).astype(np.float32)
+        if per == "stack":
+            peaks = np.full_like(peaks, peaks.max())
+        gain = np.where(peaks > 0, _PEAK[norm] / np.where(peaks > 0, peaks, 1), 1)
+        gain = gain.astype(np.float32)
+    return images * gain[:, None, None, None], gain
+
+
+def box(mask: np.ndarray, margin: int | None) -> tuple[slice, slice]:
+    """The mask's bounding box with a margin, within the image.
+
+    Args:
+        mask: `[H, W]`, bool, not empty.
+        margin: pixels around the box; None for the whole image.
+
+    Returns:
+        Rows and columns.
+    """
+    if margin is None:
+        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
+    sides = []
+    for axis, size in ((1, mask.shape[0]), (0, mask.shape[1])):
+        inside = np.flatnonzero(mask.any(axis=axis))
+        sides.append(
+            slice(max(inside[0] - margin, 0), min(inside[-1] + 1 + margin, size))
+        )
+    return sides[0], sides[1]
+
+
+def masked(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Images `[N, H, W, 3]`, float32, black outside the mask `[H, W]`."""
+    return np.where(mask[..., None], images, 0).astype(np.float32)
+
+
+@functools.partial(jax.jit, static_argnames="side")
+def resized(images: Array, mask: Array, side: int) -> tuple[Array, Array]:
+    """Images `[N, H, W, 3]` and mask `[H, W]` at another size, half-pixel bilinear."""
+    resize = functools.partial(jax.image.resize, method="linear", antialias=False)
+    return (
+        resize(images, (len(images), side, side, 3)),
+        resize(mask, (side, side)),
+    )
