@@ -2,6 +2,8 @@
 
 import errno
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -40,7 +42,7 @@ def test_a_full_disk_leaves_nothing(name, tmp_path, monkeypatch):
     assert len(files(tmp_path)) == 1
 
 
-def test_file_systems_without_flock_are_named(tmp_path, monkeypatch):
+def test_file_systems_without_locks_are_named(tmp_path, monkeypatch):
     fcntl = pytest.importorskip("fcntl")
 
     def refuse(*_):
@@ -48,10 +50,41 @@ def test_file_systems_without_flock_are_named(tmp_path, monkeypatch):
 
     monkeypatch.setattr(fcntl, "flock", refuse)
     with (
-        pytest.raises(InputError, match=r"lock: .*flock.*: No locks available; choose"),
+        pytest.raises(InputError, match=r"lock: .*lock.*: No locks available; choose"),
         claims.claim(tmp_path / "lock"),
     ):
         pass
+
+
+HOLDER = """
+import pathlib, sys, time
+from unips_jax.io.claims import claim
+with claim(pathlib.Path(sys.argv[1])) as ours:
+    print(ours, flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_killed_process_lets_go_of_its_claim(tmp_path):
+    lock = tmp_path / "lock"
+    command = [sys.executable, "-c", HOLDER, str(lock)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "True\n"
+        with claims.claim(lock) as ours:
+            assert not ours
+        holder.kill()
+        with claims.claim(lock, wait=True) as ours:
+            assert ours
+    with claims.claim(lock) as ours:
+        assert ours
+
+
+def test_what_others_claim_comes_last(tmp_path):
+    with claims.claim(tmp_path / "1") as ours:
+        assert ours
+        items = claims.claimed([0, 1, 2], lambda item: tmp_path / str(item))
+        assert [next(items), next(items)] == [0, 2]
+    assert list(items) == [1]
 
 
 def test_what_was_there_stays_until_the_new_is_whole(tmp_path, monkeypatch):

@@ -21,7 +21,7 @@ from unips_jax.cycles.blender import framing
 from unips_jax.cycles.environments import draw_environment, mean_radiance
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest, PSWildTrain
 from unips_jax.io.claims import claim
-from unips_jax.io.ps_wild_objects import PSWildFolders
+from unips_jax.io.ps_wild import PSWildFolders
 
 # Answers like blender/worker.py with a sphere; misbehaves for some shapes.
 STAND_IN = """

@@ -10,7 +10,7 @@ import pytest
 from evaluation_data import encode16, to16, write_image
 from training_runs import write_objects
 
-from unips_jax.io.ps_wild_objects import PSWildFolders, read_object
+from unips_jax.io.ps_wild import PSWildFolders, read_object
 from unips_jax.training import folders
 
 OPTIONS = {"size": 16, "batch_size": 4, "num_images": (2, 3), "seed": 5}

@@ -8,8 +8,7 @@ import pytest
 from test_photos import HEIGHT, WIDTH, save, smooth
 
 from unips_jax.errors import InputError
-from unips_jax.io.exif import exif_orientation
-from unips_jax.io.images import read_image, read_opacity
+from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.official import read_official
 from unips_jax.io.photographs import read_photographs, select
 
@@ -29,13 +28,13 @@ def test_exif_orientation_is_applied_as_viewers_do(tmp_path):
     upright = smooth(np.uint8)
     path = save(tmp_path / "a.jpg", np.ascontiguousarray(np.rot90(upright)))
     path.write_bytes(with_orientation(path.read_bytes(), 6))  # turn clockwise to view
-    assert exif_orientation(path) == 6
+    assert read_image_file(path).orientation == 6
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[3:9, 4:30] = 255
     save(tmp_path / "mask.png", mask)  # drawn over the picture as shown
-    images, read, _ = read_photographs(select(tmp_path))
-    assert np.abs(images[0].astype(int) - upright).max() <= 4
-    np.testing.assert_array_equal(read, mask > 0)
+    read = read_photographs(select(tmp_path))
+    assert np.abs(read.images[0].astype(int) - upright).max() <= 4
+    np.testing.assert_array_equal(read.mask, mask > 0)
 
 
 def test_differing_orientations_are_refused(tmp_path):
@@ -94,10 +93,10 @@ def webp_with_orientation(webp, orientation):
 def test_whatever_the_decoder_turns_is_reported(tmp_path, suffix, dtype, add):
     path = save(tmp_path / f"a{suffix}", smooth(dtype))
     upright = read_image(path)
-    assert exif_orientation(path) == 1
+    assert read_image_file(path).orientation == 1
     path.write_bytes(add(path.read_bytes(), 3))
     np.testing.assert_array_equal(read_image(path), upright[::-1, ::-1])
-    assert exif_orientation(path) == 3
+    assert read_image_file(path).orientation == 3
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
@@ -109,11 +108,15 @@ def test_opacity_turns_with_the_image(tmp_path, orientation, dtype):
     ):
         path = save(tmp_path / f"a{suffix}", smooth(dtype)[..., [0, 1, 2, 0]])
         path.write_bytes(turned(path.read_bytes(), orientation))
-        np.testing.assert_array_equal(read_opacity(path), read_image(path)[..., 0])
+        file = read_image_file(path)
+        np.testing.assert_array_equal(file.alpha, file.pixels[..., 0])
 
 
-@pytest.mark.parametrize("data", [b"", b"II*\0", b"\xff\xd8\xff\xe1", b"\x89PNG"])
-def test_damaged_exif_is_upright(tmp_path, data):
-    path = tmp_path / "a.tif"
-    path.write_bytes(data)
-    assert exif_orientation(path) == 1
+@pytest.mark.parametrize("block", [b"", b"II*\0", b"\xff\xd8\xff\xe1", b"II*\0" * 9])
+def test_damaged_exif_is_upright(tmp_path, block):
+    path = save(tmp_path / "a.jpg", smooth(np.uint8))
+    jpeg, body = path.read_bytes(), b"Exif\0\0" + block
+    segment = b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
+    path.write_bytes(jpeg[:2] + segment + jpeg[2:])
+    file = read_image_file(path)
+    assert (file.orientation, file.focal) == (1, None)

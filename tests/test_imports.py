@@ -48,22 +48,3 @@ def test_every_public_name_is_there():
         _ = unips_jax.estimate_normal
     with pytest.raises(ImportError, match="nothing_of_this_name"):
         exec("from unips_jax import nothing_of_this_name")
-
-
-def test_import_needs_no_fcntl():
-    """Windows has none; only claims on work need it."""
-    code = """
-import importlib, pathlib, sys
-sys.modules["fcntl"] = None
-from unips_jax.cli.main import COMMANDS
-from unips_jax.io.claims import claim
-from unips_jax.errors import InputError
-for module, _ in COMMANDS.values():
-    importlib.import_module(f"unips_jax.{module}")
-try:
-    with claim(pathlib.Path("lock")):
-        raise AssertionError("claimed without flock")
-except InputError as error:
-    assert "lock: expected a system with flock" in str(error)
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)

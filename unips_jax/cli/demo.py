@@ -19,7 +19,7 @@ from unips_jax.io.normals import (
     write_normals,
     write_record,
 )
-from unips_jax.io.ps_wild_objects import PSWildFolders, read_object
+from unips_jax.io.ps_wild import PSWildFolders, read_object
 from unips_jax.pictures.estimate_sheet import write_sheet
 
 SAMPLE = Path(str(importlib.resources.files("unips_jax"))) / "assets" / "sample"

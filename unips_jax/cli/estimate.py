@@ -33,7 +33,13 @@ from unips_jax.io.normals import (
     write_record,
 )
 from unips_jax.io.official import read_official
-from unips_jax.io.photographs import Selection, folder_name, read_photographs, select
+from unips_jax.io.photographs import (
+    Capture,
+    Selection,
+    folder_name,
+    read_capture,
+    select,
+)
 from unips_jax.io.record import (
     make_record,
     print_line,
@@ -53,15 +59,6 @@ class _Network:
     config: ModelConfig
     params: Any
     record: dict[str, Any]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Capture:
-    """What the network is given. Shapes as in `read_photographs`."""
-
-    images: np.ndarray
-    mask: np.ndarray
-    transfer: Transfer
 
 
 def _main(argv: Sequence[str] | None = None) -> None:
@@ -258,7 +255,7 @@ def _estimate_folder(
     print_line("wrote", f"{target}/: {', '.join(names)}")
 
 
-def _estimate(capture: _Capture, network: _Network, *, official: bool) -> np.ndarray:
+def _estimate(capture: Capture, network: _Network, *, official: bool) -> np.ndarray:
     from unips_jax.estimation.streaming import estimate_photographs
 
     with progress("estimating normals") as report:
@@ -273,16 +270,16 @@ def _estimate(capture: _Capture, network: _Network, *, official: bool) -> np.nda
         )
 
 
-def _read(selection: Selection, arguments: argparse.Namespace) -> _Capture:
+def _read(selection: Selection, arguments: argparse.Namespace) -> Capture:
     if arguments.reader == "official":
         images, mask, _ = read_official(selection, size=arguments.size or 512)
-        return _Capture(images, mask, "linear")
-    images, mask, transfer = read_photographs(
+        return Capture(images, mask, "linear", None)
+    capture = read_capture(
         selection, track=functools.partial(track, description="reading photographs")
     )
     if arguments.transfer != "auto":
-        transfer = arguments.transfer
-    return _Capture(images, mask, transfer)
+        return dataclasses.replace(capture, transfer=arguments.transfer)
+    return capture
 
 
 if __name__ == "__main__":

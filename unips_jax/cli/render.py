@@ -16,7 +16,7 @@ from pathlib import Path
 from unips_jax.console import command
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
-from unips_jax.io.ps_wild import check_picture
+from unips_jax.io.images import check_picture
 from unips_jax.scenes.folders import render_folders, render_sheet
 
 

@@ -22,7 +22,7 @@ from unips_jax.cycles.lighting import LIGHTINGS
 from unips_jax.cycles.run import Settings, render_set
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
-from unips_jax.io.ps_wild import check_picture, write_picture
+from unips_jax.io.images import check_picture, write_image
 
 PRESETS: dict[str, dict[str, Any]] = {
     "train": {"images": 10, "training": True},
@@ -125,7 +125,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             chosen["environments"] = tuple(blender.ask("environments"))
         failed = render_set(blender, jobs, Settings(**chosen, files=files), out)
     if sheet is not None and any(out.glob("*/*.data")):
-        write_picture(sheet, contact_sheet(out))
+        write_image(sheet, contact_sheet(out))
         print(f"wrote {sheet}")
     if failed:
         raise InputError(
@@ -152,7 +152,7 @@ def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
         InputError: if the set cannot be read.
     """
     from unips_jax.io.color import srgb_encode
-    from unips_jax.io.ps_wild_objects import PSWildFolders, read_object
+    from unips_jax.io.ps_wild import PSWildFolders, read_object
 
     folders = sorted(p for p in root.iterdir() if p.is_dir() and any(p.glob("*.data")))
     rows: dict[str, dict[str, np.ndarray]] = {"": {}}

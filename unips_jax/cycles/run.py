@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from unips_jax.console import track
@@ -18,7 +17,8 @@ from unips_jax.cycles.environments import draw_environment, read_mean_radiance
 from unips_jax.cycles.lighting import automatic_gain, draw_light
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim, claimed, write_whole
-from unips_jax.io.ps_wild import write_folder
+from unips_jax.io.images import write_image
+from unips_jax.io.ps_wild import focal_facts, write_folder
 
 _PREVIEW = 64
 _ROTATIONS = 20
@@ -154,10 +154,7 @@ def pose(
         found = entropy_bits(read_truth(blender.picture("truth", size=_PREVIEW)))
         if found > settings.min_entropy_bits:
             facts: dict[str, Any] = {"rotation": rotation, "entropy_bits": found}
-            facts["focal_mm"] = focal_mm
-            if focal_mm:  # in pixels, as the evaluation reads it
-                facts["focal"] = focal_mm / 36 * settings.size
-            return facts
+            return facts | focal_facts(focal_mm, settings.size)
     raise BlenderError(
         f"none of {_ROTATIONS} rotations fits the frame with an entropy of the normals "
         f"of more than {settings.min_entropy_bits} bits"
@@ -185,7 +182,7 @@ class _Photographs:
         else:
             path = self._blender.folder / f"{name}.hdr"
             picture = draw_environment(self._rng)
-            cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1]))
+            write_image(path, picture)
         return str(path), read_mean_radiance(path)
 
     def render(self, mask: np.ndarray) -> Iterator[np.ndarray]:

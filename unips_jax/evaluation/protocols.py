@@ -21,6 +21,7 @@ import numpy as np
 from unips_jax.baselines.method import Lights, Observed
 from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import Item
+from unips_jax.io.masks import mask_box
 
 _MARGIN = 4
 
@@ -97,13 +98,11 @@ def square_box(mask: np.ndarray) -> Box:
     Args:
         mask: `[H, W]`, bool, not empty.
     """
-    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
-    height = int(rows[-1] - rows[0]) + 1
-    width = int(columns[-1] - columns[0]) + 1
+    rows, columns = mask_box(mask)
+    height, width = rows.stop - rows.start, columns.stop - columns.start
     side = max(height, width) + 2 * _MARGIN
-    return Box(
-        int(rows[0]) - (side - height) // 2, int(columns[0]) - (side - width) // 2, side
-    )
+    top, left = rows.start - (side - height) // 2, columns.start - (side - width) // 2
+    return Box(top, left, side)
 
 
 def show(

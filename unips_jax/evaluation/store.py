@@ -13,11 +13,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim, slug, write_whole
+from unips_jax.io.images import encode_image
+from unips_jax.io.normals import encode_normals, read_normals
 
 
 def result_key(fields: Mapping[str, Any]) -> str:
@@ -98,14 +99,15 @@ class Store:
         Args:
             name: of the result.
             record: JSON values.
-            normals: `[H, W, 3]`, unit or zero, kept as a 16-bit PNG, (n + 1) / 2.
+            normals: `[H, W, 3]`, unit or zero, kept as a 16-bit PNG; see `io.normals`.
 
         Raises:
             InputError: if it cannot be written.
         """
         path = self.path(name)
         if normals is not None:
-            write_whole(path.with_suffix(".png"), encode_normals(normals))
+            pixels = encode_normals(normals)
+            write_whole(path.with_suffix(".png"), encode_image(".png", pixels))
         text = json.dumps(record, indent=1, sort_keys=True) + "\n"
         write_whole(path, text.encode())
 
@@ -116,25 +118,10 @@ class Store:
             InputError: if someone else than this program changed it.
         """
         path = self.path(name).with_suffix(".png")
-        data = np.frombuffer(path.read_bytes() if path.is_file() else b"", np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-        if image is None:
+        try:
+            return read_normals(path)
+        except InputError as error:
             raise InputError(
-                f"{path}: expected a normal map, got a missing or damaged file; delete "
-                "the .json beside it to have both computed again"
-            )
-        normals = image[..., ::-1].astype(np.float32) * np.float32(2 / 65535) - 1
-        # Zero lies between two of the 65,536 steps.
-        is_zero = (np.abs(normals) < 1e-4).all(axis=-1, keepdims=True)
-        return np.where(is_zero, np.float32(0), normals)
-
-
-def encode_normals(normals: np.ndarray) -> bytes:
-    """A normal map as a 16-bit PNG, rounded; not finite becomes zero.
-
-    Args:
-        normals: `[H, W, 3]`.
-    """
-    values = np.nan_to_num(normals.astype(np.float64), nan=0, posinf=0, neginf=0)
-    stored = np.rint((np.clip(values, -1, 1) + 1) * (65535 / 2)).astype(np.uint16)
-    return cv2.imencode(".png", np.ascontiguousarray(stored[..., ::-1]))[1].tobytes()
+                f"{error} (a stored result: delete the .json beside it to have both "
+                "computed again)"
+            ) from None

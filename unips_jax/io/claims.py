@@ -1,16 +1,17 @@
 """Claims on pieces of work that several processes share, and files put in place whole.
 
-Claims are `flock`s, which the operating system lets go when a process ends, however it
-ends.
+Claims are locks of the operating system (`filelock`), which lets them go when a process
+ends, however it ends.
 """
 
 import contextlib
 import os
 import re
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
+
+from filelock import FileLock, Timeout
 
 from unips_jax.errors import InputError
 
@@ -29,27 +30,24 @@ def claim(lock: Path, *, wait: bool = False) -> Iterator[bool]:
         Whether it is ours.
 
     Raises:
-        InputError: if the operating or the file system has no `flock`.
+        InputError: if the file system has no locks.
     """
+    ours = FileLock(lock, timeout=-1 if wait else 0, fallback_to_soft=False)
     try:
-        import fcntl  # not on Windows, where all that needs no claim works
-    except ImportError:
+        ours.acquire()
+    except Timeout:
+        yield False
+        return
+    except (OSError, NotImplementedError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
         raise InputError(
-            f"{lock}: expected a system with flock (Linux, macOS) to claim work, got "
-            f"{sys.platform}; on Windows run this in WSL"
-        ) from None
-    with lock.open("ab") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            yield False
-            return
-        except OSError as error:
-            raise InputError(
-                f"{lock}: expected a file system with flock to claim work, got: "
-                f"{error.strerror}; choose a folder on another"
-            ) from error
+            f"{lock}: expected a file system that can lock files, to claim work, got: "
+            f"{reason}; choose a folder on another"
+        ) from error
+    try:
         yield True
+    finally:
+        ours.release()
 
 
 def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:

@@ -1,10 +1,11 @@
-"""Writes normals to disk: all files of a folder at once, or none.
+"""Normals as pixels, and on disk: all files of a folder at once, or none.
 
 Arrays (`.npy`, `.mat`) hold unit normals, x right, y up, z towards the viewer, 0 on
-the background. Normal maps are for graphics programs: 16-bit PNG holding
-`round((n + 1) / 2 * 65535)` in R, G, B, with 32768 on the background (which decodes to
-within 1e-5 of 0), and float EXR holding n. DirectX maps have y, the green channel,
-flipped; OpenGL maps do not.
+the background. Normal maps are images of integers, `(n + 1) / 2` of full scale rounded
+to the nearest in R, G, B, or float images (EXR, TIFF) holding n. Zero lies between two
+of the integers; the upper one, 32768 of 16 bits, stands for it. Either, in all three
+channels, is read as 0. DirectX maps have y, the green channel, flipped; OpenGL maps do
+not.
 """
 
 import contextlib
@@ -16,10 +17,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.images import ImageFile, read_image_file, require_finite, write_image
 
 NormalMap = Literal["opengl", "directx"]
 
@@ -48,7 +49,7 @@ def write_normals(
         normal_map: convention of the PNG and the EXR.
     """
     flipped = flip_green(normals) if normal_map == "directx" else normals
-    write_png(folder / "normals.png", encode_normals(flipped)[..., ::-1])
+    write_image(folder / "normals.png", encode_normals(flipped))
     np.save(folder / "normals.npy", normals)
     if exr:
         import OpenEXR
@@ -65,25 +66,73 @@ def write_normals(
         scipy.io.savemat(folder / "normals.mat", {"Normal_est": normals})
 
 
-def write_png(file: Path, pixels: np.ndarray) -> None:
-    """Writes a PNG; unlike `cv2.imwrite` under names of any characters.
-
-    Args:
-        file: where.
-        pixels: `[H, W, 3]`, uint8 or uint16, blue first.
-    """
-    file.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
-
-
 def encode_normals(normals: np.ndarray) -> np.ndarray:
-    """Maps [-1, 1] to 16 bit: `[H, W, 3]` float to uint16, 0 to 32768.
+    """Normals as 16-bit colours: `[H, W, 3]` uint16; see the module.
 
     Args:
-        normals: components in [-1, 1].
+        normals: `[H, W, 3]`, components in [-1, 1]; 0 where there is none. What is not
+            finite becomes 0.
     """
-    values = np.multiply(normals, _FULL / 2, dtype=np.float32)
-    values += _FULL / 2 + 0.5  # rounds half up
+    values = np.array(normals, np.float32)
+    np.nan_to_num(values, copy=False, nan=0, posinf=0, neginf=0)
+    values *= _FULL / 2
+    values += _FULL / 2 + 0.5  # the nearest integer is the one below
     return np.clip(values, 0, _FULL, out=values).astype(np.uint16)
+
+
+def decode_normals(values: np.ndarray) -> np.ndarray:
+    """Normals from a normal map's values: `[H, W, 3]` float32, not normalised.
+
+    Args:
+        values: `[H, W, 3]`, uint8, uint16, or float32, which holds normals already.
+    """
+    if values.dtype == np.float32:
+        return values
+    top = np.iinfo(values.dtype).max
+    normals = (values * (2 / top) - 1).astype(np.float32)
+    normals[((values == top // 2) | (values == top // 2 + 1)).all(axis=-1)] = 0
+    return normals
+
+
+def read_normals(path: Path) -> np.ndarray:
+    """Reads a normal map: `[H, W, 3]`, float32, as stored: not normalised.
+
+    Args:
+        path: an image of 8 or 16 bits, or a float EXR or TIFF.
+
+    Raises:
+        InputError: if the image cannot be read or has not three channels of finite
+            values.
+    """
+    return normals_of(read_image_file(path, vectors=True))
+
+
+def normals_of(file: ImageFile) -> np.ndarray:
+    """What a normal map's image holds; see `read_normals`.
+
+    Args:
+        file: the image.
+
+    Raises:
+        InputError: if it has not three channels of finite values.
+    """
+    if file.pixels.shape[2] != 3:
+        raise InputError(
+            f"{file.path}: expected a normal map of 3 channels, got {file.channels}"
+        )
+    require_finite(file.path, file.pixels)
+    return decode_normals(file.pixels)
+
+
+def has_unit_length(normals: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
+    """PS-Wild's rule for the object's pixels, | 1 - |n| | < 1e-3: `[H, W]`, bool.
+
+    Args:
+        normals: `[H, W, 3]`.
+        tolerance: in place of 1e-3.
+    """
+    length = np.linalg.norm(normals.astype(np.float64), axis=-1)
+    return np.abs(1 - length) < tolerance
 
 
 def flip_green(normals: np.ndarray) -> np.ndarray:

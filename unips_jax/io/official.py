@@ -6,15 +6,14 @@ file is taken as linear. For everything else there is
 `io.photographs.read_photographs`.
 """
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
-from unips_jax.io.images import read_image
-from unips_jax.io.photographs import Selection, mask_for, require_one_orientation
+from unips_jax.io.images import ImageFile, read_image_file, require_finite
+from unips_jax.io.masks import mask_box
+from unips_jax.io.photographs import Selection, mask_for, require_orientation
 
 _MARGIN = 4
 
@@ -39,13 +38,12 @@ def read_official(
         InputError: if a file cannot be used, sizes or orientations differ, or an
             image is black inside the mask.
     """
-    require_one_orientation(selection)
-    first = _as_rgb(read_image(selection.files[0]))
-    shape = first.shape[:2]
+    first = read_image_file(selection.files[0])
+    shape = first.pixels.shape[:2]
     normal_file = selection.folder / "normal.tif"
     normals = None
     if normal_file.is_file():
-        normals = 2 * _sized(normal_file, shape) - 1
+        normals = 2 * _sized(read_image_file(normal_file), shape) - 1
     if selection.mask_file is None and normals is not None:
         mask = np.abs(1 - np.linalg.norm(normals, axis=-1)) < 1e-3
     else:
@@ -54,12 +52,14 @@ def read_official(
     crop = (slice(None), slice(None)) if training else official_crop(mask)
     small_mask = _resized(mask.astype(np.uint8)[crop], size) > 0
     images = np.zeros((len(selection.files), size, size, 3), np.float32)
-    for image, file in zip(images, selection.files, strict=True):
+    for i, (image, path) in enumerate(zip(images, selection.files, strict=True)):
+        file = first if i == 0 else read_image_file(path)
+        require_orientation(file, first)
         image[:] = _resized(_sized(file, shape)[crop], size)
         mean = image[small_mask].mean(dtype=np.float64) if small_mask.any() else 0
         if not mean > 0:
             raise InputError(
-                f"{file}: expected light inside the mask, got 0 everywhere; remove the "
+                f"{path}: expected light inside the mask, got 0 everywhere; remove the "
                 "image, or check the mask"
             )
         image *= small_mask[..., None] / np.float32(mean)
@@ -75,11 +75,11 @@ def official_crop(mask: np.ndarray) -> tuple[slice, slice]:
         mask: `[H, W]`, bool. If its bounding box with a margin of 4 pixels does not
             stay strictly inside the image, nothing is cropped.
     """
-    spans = [np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)]
-    if not all(len(span) for span in spans):
+    if not mask.any():
         return slice(None), slice(None)
-    lows = [int(span[0]) for span in spans]
-    highs = [int(span[-1]) for span in spans]
+    box = mask_box(mask)
+    lows = [side.start for side in box]
+    highs = [side.stop - 1 for side in box]
     for low, high, length in zip(lows, highs, mask.shape, strict=True):
         if not (low - _MARGIN > 0 and high + _MARGIN <= length):
             return slice(None), slice(None)
@@ -93,18 +93,17 @@ def official_crop(mask: np.ndarray) -> tuple[slice, slice]:
     return crop[0], crop[1]
 
 
-def _as_rgb(image: np.ndarray) -> np.ndarray:
-    return np.broadcast_to(as_float(image), (*image.shape[:2], 3))
-
-
-def _sized(file: Path, shape: tuple[int, ...]) -> np.ndarray:
-    image = _as_rgb(read_image(file))
+def _sized(file: ImageFile, shape: tuple[int, ...]) -> np.ndarray:
+    """RGB in float32, without negative light."""
+    require_finite(file.path, file.pixels)
+    image = np.maximum(as_float(file.pixels), 0)
     if image.shape[:2] != shape:
         raise InputError(
-            f"{file}: expected {shape[1]} x {shape[0]} pixels as the first photograph, "
-            f"got {image.shape[1]} x {image.shape[0]}; remove or re-export it"
+            f"{file.path}: expected {shape[1]} x {shape[0]} pixels as the first "
+            f"photograph, got {image.shape[1]} x {image.shape[0]}; remove or re-export "
+            "it"
         )
-    return image
+    return np.broadcast_to(image, (*shape, 3))
 
 
 def _resized(image: np.ndarray, size: int) -> np.ndarray:

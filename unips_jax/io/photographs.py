@@ -2,17 +2,16 @@
 
 What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or else
 `0*`; elsewhere every image file. Never a normal, depth or material map, a mask, ground
-truth or this package's own output (`is_map`), and never hidden files. Files are sorted
-by name; whatever is left out is listed with its reason.
+truth or this package's own output (`io.names`), and never hidden files. Files are
+sorted by name; whatever is left out is listed with its reason.
 
-The mask is `mask.png` (or another format), or the file given; see `read_mask`. Without
+The mask is `mask.png` (or another format), or the file given; see `io.masks`. Without
 a mask the whole image counts: nothing is cropped or stretched. EXIF orientation: see
 `unips_jax.io.images`.
 """
 
 import dataclasses
 import os
-import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,15 +20,10 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, usual_transfer
-from unips_jax.io.exif import exif_orientation
-from unips_jax.io.images import SUFFIXES, is_lossy, read_image, read_opacity
+from unips_jax.io.images import ImageFile, read_image_file, require_finite
+from unips_jax.io.masks import read_mask
+from unips_jax.io.names import SUFFIXES, is_map
 
-_MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
-_MAP_NAME = re.compile(
-    # A name that begins with such a word, or has it or "gt" as a word of its own.
-    rf"^(?:{_MAP_WORDS}|albedo|shading)|^sheet$|\b(?:{_MAP_WORDS}|albedo|gt)\b",
-    re.IGNORECASE,
-)
 _RAW_SUFFIXES = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
 
 
@@ -70,16 +64,24 @@ class Photographs(NamedTuple):
     transfer: Transfer
 
 
-def is_map(name: str) -> bool:
-    """Whether a file is, by its name, a map or an output and no photograph.
+@dataclasses.dataclass(frozen=True)
+class Capture:
+    """Photographs of one object, read, with what their files tell.
 
-    Args:
-        name: the file's name, in any case. `normal_gt.png`, `objMask.tif` and
-            `baseColor.tif` are maps; `length_01.png` and `abnormal.jpg` are not.
+    Attributes:
+        images: `[N, H, W, 3]`, RGB in the files' own type: uint8, uint16 or float32;
+            grey replicated. Negative floats, which resampling leaves in renderings,
+            are 0, as are values outside the mask that are not finite.
+        mask: `[H, W]`, bool, with at least one pixel.
+        transfer: how the values encode light.
+        focal: focal length in pixels by the first file's EXIF data; None where it is
+            not told.
     """
-    words = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", Path(name).stem)
-    words = re.sub(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", " ", words).strip()
-    return bool(_MAP_NAME.search(words))
+
+    images: np.ndarray
+    mask: np.ndarray
+    transfer: Transfer
+    focal: float | None
 
 
 def select(
@@ -140,28 +142,54 @@ def read_photographs(
         source: a folder of photographs, or which of its files (`select`).
         track: wraps the list of files, to show progress.
 
-    Returns:
-        images `[N, H, W, 3]` (RGB, in the files' own type: uint8, uint16 or float32;
-        gray replicated), mask `[H, W]` (bool; at least one pixel), and how the values
-        encode light: "srgb" or "linear".
-
     Raises:
         InputError: if a file cannot be used, sizes, types or orientations differ, the
-            mask is empty, or an image is black inside it.
+            mask is empty, or an image is black or not finite inside it.
     """
     selection = source if isinstance(source, Selection) else select(Path(source))
-    first = selection.files[0]
-    require_one_orientation(selection)
-    images = mask = np.empty(0)
-    for i, file in enumerate(track(selection.files)):
-        image = read_image(file)
-        if i == 0:
-            mask = mask_for(selection, image.shape[:2])
-            images = np.empty((len(selection.files), *mask.shape, 3), image.dtype)
-        _require_alike(file, image, first, images)
-        images[i] = image
-        _require_light(file, images[i], mask)
-    return Photographs(images, mask, usual_transfer(images.dtype))
+    capture = read_capture(selection, track=track)
+    return Photographs(capture.images, capture.mask, capture.transfer)
+
+
+def read_capture(
+    selection: Selection,
+    *,
+    track: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    read: Callable[[Path], ImageFile] = read_image_file,
+    mask: np.ndarray | None = None,
+) -> Capture:
+    """Does what `read_photographs` does, opens each file once and tells more.
+
+    Args:
+        selection: which files.
+        track: wraps the list of files, to show progress.
+        read: reads one photograph.
+        mask: `[H, W]`, bool, in place of the selection's mask file.
+
+    Raises:
+        InputError: as `read_photographs`.
+    """
+    images = np.empty(0)
+    first: ImageFile | None = None
+    for i, path in enumerate(track(selection.files)):
+        file = read(path)
+        if first is None:
+            first = dataclasses.replace(file, pixels=file.pixels[:0], alpha=None)
+            if mask is None:
+                mask = mask_for(selection, file.pixels.shape[:2])
+            shape = (len(selection.files), *mask.shape, 3)
+            images = np.empty(shape, file.pixels.dtype)
+        assert mask is not None
+        require_orientation(file, first)
+        _require_alike(file, first, images)
+        images[i] = file.pixels
+        if images.dtype == np.float32:
+            require_finite(path, images[i][mask])
+            np.nan_to_num(images[i], copy=False, nan=0, posinf=0, neginf=0)
+            np.maximum(images[i], 0, out=images[i])
+        _require_light(path, images[i], mask)
+    assert first is not None and mask is not None  # a selection has a file
+    return Capture(images, mask, usual_transfer(images.dtype), first.focal)
 
 
 def mask_for(selection: Selection, shape: tuple[int, ...]) -> np.ndarray:
@@ -196,51 +224,20 @@ def folder_name(folder: Path) -> str:
     return Path(name).name.removesuffix(".data")
 
 
-def read_mask(file: Path) -> np.ndarray:
-    """Reads a mask: `[H, W]` bool, true where the first channel is above 0.
-
-    In a JPEG or a lossy WebP, whose compression leaves noise around the object, it must
-    be above half of full scale. An image of one colour whose transparency varies is
-    inside where it is not fully transparent.
+def require_orientation(file: ImageFile, first: ImageFile) -> None:
+    """Raises InputError if two photographs' EXIF orientations differ.
 
     Args:
-        file: an image of any supported format.
-
-    Raises:
-        InputError: if the file cannot be read, or nothing is inside.
+        file: one.
+        first: the other, which has the say.
     """
-    image = read_image(file)
-    values = image[..., 0]
-    if (image == image[0, 0]).all():
-        opacity = read_opacity(file)
-        if opacity is not None and np.ptp(opacity):
-            values = opacity
-    floor = np.iinfo(image.dtype).max // 2 if is_lossy(file) else 0
-    mask = values > floor
-    if not mask.any():
+    if file.orientation != first.orientation:
         raise InputError(
-            f"{file}: expected a mask with values above {floor} on the object, got at "
-            f"most {values.max()}; paint the object white, or remove the mask"
+            f"{file.path}: expected EXIF orientation {first.orientation} as in "
+            f"{first.path.name}, got {file.orientation}; if the camera stood still, "
+            "remove the tag from all files (exiftool -Orientation= FILES), else leave "
+            "this one out"
         )
-    return mask
-
-
-def require_one_orientation(selection: Selection) -> None:
-    """Raises InputError if the photographs' EXIF orientations differ.
-
-    Args:
-        selection: the files.
-    """
-    files = selection.files
-    first = exif_orientation(files[0])
-    for file in files[1:]:
-        other = exif_orientation(file)
-        if other != first:
-            raise InputError(
-                f"{file}: expected EXIF orientation {first} as in {files[0].name}, got "
-                f"{other}; if the camera stood still, remove the tag from all files "
-                "(exiftool -Orientation= FILES), else leave this one out"
-            )
 
 
 def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
@@ -299,19 +296,18 @@ def _nothing_found(
     return text
 
 
-def _require_alike(
-    file: Path, image: np.ndarray, first: Path, images: np.ndarray
-) -> None:
-    if image.shape[:2] != images.shape[1:3]:
+def _require_alike(file: ImageFile, first: ImageFile, images: np.ndarray) -> None:
+    shape, dtype = file.pixels.shape, file.pixels.dtype
+    if shape[:2] != images.shape[1:3]:
         raise InputError(
-            f"{file}: expected {_size(images.shape[1:3])} pixels as {first.name}, got "
-            f"{_size(image.shape)}; photographs of one object must be taken by one "
-            "camera that does not move: remove or re-export it"
+            f"{file.path}: expected {_size(images.shape[1:3])} pixels as "
+            f"{first.path.name}, got {_size(shape)}; photographs of one object must be "
+            "taken by one camera that does not move: remove or re-export it"
         )
-    if image.dtype != images.dtype:
+    if dtype != images.dtype:
         raise InputError(
-            f"{file}: expected {images.dtype} pixels as {first.name}, got "
-            f"{image.dtype}; export all photographs in the same way"
+            f"{file.path}: expected {images.dtype} pixels as {first.path.name}, got "
+            f"{dtype}; export all photographs in the same way"
         )
 
 

@@ -1,66 +1,135 @@
-"""Writes PS-Wild folders: images, truth and facts, whole or not at all.
+"""PS-Wild's layout on disk: written whole or not at all, and read object by object.
 
-Plain NumPy. `io.ps_wild_objects` and `evaluation.benchmarks.ps_wild` read them.
+A folder `X.data/` holds linear photographs, `0*` for training or `L*` for tests,
+`normal.tif`, 16 bit, see `io.normals`, and what is ours: `mask.png` and `meta.json`.
+The object is where | 1 - |n| | < 1e-3. `baseColor.tif`, `roughness.tif`, `metal.tif`
+and `depth.exr`, where they are there, are never read.
+
+`meta.json` may hold `seed`, `size`, `light`, `shape`, `material`, `category`; `focal`,
+the focal length in pixels; `focal_mm`, the same for a frame of 36 mm, null for an
+orthographic camera; and, per image, `light_directions` and `light_intensities`, such
+that a Lambertian surface appears as albedo x intensity x max(n . l, 0).
+
+Plain NumPy.
 """
 
+import glob
 import json
+import math
 import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import OpenEXR
 
 from unips_jax.errors import InputError
-from unips_jax.io.claims import make_folder
+from unips_jax.io.color import as_float
+from unips_jax.io.images import read_image, write_image
+from unips_jax.io.names import is_photograph
+from unips_jax.io.normals import encode_normals, has_unit_length, read_normals
+
+META, NORMALS, MASK = "meta.json", "normal.tif", "mask.png"
+FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
 
 
-def check_picture(path: Path, option: str) -> None:
-    """Refuses what `write_picture` could not write, before there is a picture.
+def photographs_of(folder: Path, prefixes: str) -> list[Path]:
+    """An object's photographs, sorted by name.
 
     Args:
-        path: of the picture.
-        option: of the command line that gave it.
+        folder: of the object.
+        prefixes: letters their names may begin with, in any case.
+    """
+    return [
+        path
+        for path in sorted(folder.iterdir())
+        if path.name[0].lower() in prefixes.lower() and is_photograph(path)
+    ]
+
+
+def focal_facts(focal_mm: float | None, size: int) -> dict[str, float | None]:
+    """What `meta.json` says of the camera.
+
+    Args:
+        focal_mm: of a frame of `FRAME_MM`; None or 0 for an orthographic camera.
+        size: side of the images in pixels.
+    """
+    if not focal_mm:
+        return {"focal_mm": None}
+    return {"focal_mm": focal_mm, "focal": focal_mm / FRAME_MM * size}
+
+
+def read_meta(folder: Path) -> dict[str, Any]:
+    """An object's `meta.json`; empty where there is none.
+
+    Args:
+        folder: of the object.
 
     Raises:
-        InputError: naming the option.
+        InputError: if it is there and is no JSON object.
     """
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".tif"):
-        raise InputError(
-            f"{option}: expected a file ending in .png, .jpg or .tif, got {path}"
-        )
-    if path.is_dir():
-        raise InputError(f"{option}: expected a file's name, got a folder's, {path}")
-    make_folder(path.parent, option)
+    path = folder / META
+    if not path.is_file():
+        return {}
+    try:
+        meta = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not JSON ({error})") from error
+    if not isinstance(meta, dict):
+        raise InputError(f"{path}: expected a JSON object")
+    return meta
 
 
-def write_picture(path: Path, pixels: np.ndarray) -> None:
-    """Writes RGB or grey pixels; the suffix chooses the format."""
-    if pixels.ndim == 3:
-        pixels = pixels[..., ::-1]
-    ok, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels))
-    if not ok:
-        raise OSError(f"{path}: could not be encoded")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data.tobytes())
-
-
-def encode_normals(normals: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Normals as 16-bit colours.
+def meta_focal(meta: Mapping[str, Any], path: Path) -> float | None:
+    """The focal length in pixels; infinite if orthographic, None where unknown.
 
     Args:
-        normals: `[H, W, 3]`, unit inside the mask.
-        mask: `[H, W]` bool.
+        meta: from `read_meta`.
+        path: named in errors.
 
-    Returns:
-        `[H, W, 3]` uint16, v = 65535 (n + 1) / 2 rounded, 32768 outside the mask.
+    Raises:
+        InputError: if it is no length.
     """
-    values = np.rint((np.clip(normals, -1, 1) + 1) * 32767.5)
-    return np.where(mask[..., None], values, 32768).astype(np.uint16)
+    focal = meta.get("focal")
+    if focal is None:
+        return math.inf if meta.get("focal_mm", 0) is None else None
+    if not (isinstance(focal, (int, float)) and focal > 0):
+        raise InputError(f"{path}: focal is not a length")
+    return focal
+
+
+def meta_lights(
+    meta: Mapping[str, Any], path: Path
+) -> tuple[np.ndarray, np.ndarray | None] | None:
+    """Directions `[N, 3]` and intensities `[N, 3]`, these None where all are 1.
+
+    Args:
+        meta: from `read_meta`.
+        path: named in errors.
+
+    Raises:
+        InputError: if they are no such numbers.
+    """
+    directions, intensities = (
+        _vectors(meta, key, path) for key in ("light_directions", "light_intensities")
+    )
+    return None if directions is None else (directions, intensities)
+
+
+def _vectors(meta: Mapping[str, Any], key: str, path: Path) -> np.ndarray | None:
+    if meta.get(key) is None:
+        return None
+    try:
+        array = np.array(meta[key], np.float64)
+    except (ValueError, TypeError):
+        array = np.empty(0)
+    if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
+        raise InputError(f"{path}: expected three finite numbers per image in {key}")
+    return array
 
 
 def encode_linear(values: np.ndarray) -> np.ndarray:
@@ -100,18 +169,138 @@ def write_folder(
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         for index, image in enumerate(images):
-            write_picture(partial / name.format(index), encode_linear(image))
-        write_picture(partial / "mask.png", mask.astype(np.uint8) * 255)
-        write_picture(partial / "normal.tif", encode_normals(normals, mask))
+            write_image(partial / name.format(index), encode_linear(image))
+        write_image(partial / MASK, mask.astype(np.uint8) * 255)
+        inside = np.where(mask[..., None], normals, 0)
+        write_image(partial / NORMALS, encode_normals(inside))
         for title, values in (maps or {}).items():
-            write_picture(partial / f"{title}.tif", encode_linear(values))
+            write_image(partial / f"{title}.tif", encode_linear(values))
         if depth is not None:
             channels = {"Z": np.where(mask, depth, 0).astype(np.float32)}
             OpenEXR.File({}, channels).write(str(partial / "depth.exr"))
         text = json.dumps(dict(facts), indent=1)
-        (partial / "meta.json").write_text(text + "\n")
+        (partial / META).write_text(text + "\n")
         partial.chmod(0o755)
         os.rename(partial, folder)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
+
+
+class TrainingObject(NamedTuple):
+    """Where an object's files are.
+
+    Attributes:
+        photographs: sorted by name.
+        normals: the true normals.
+    """
+
+    photographs: tuple[Path, ...]
+    normals: Path
+
+
+class PSWildFolders:
+    """All objects below a root; a random-access source for grain."""
+
+    def __init__(self, root: Path, *, min_images: int) -> None:
+        """Finds the objects.
+
+        Args:
+            root: holds `X.data` folders, directly or below folders of lightings.
+            min_images: photographs every object must have.
+
+        Raises:
+            InputError: if there are none, or one lacks files.
+        """
+        below = glob.glob("**/*.data", root_dir=root, recursive=True)  # through links
+        folders = sorted(path for name in below if (path := root / name).is_dir())
+        if not folders:
+            raise InputError(
+                f"--data.root {str(root)!r}: expected folders X.data with photographs "
+                "0* or L* and normal.tif, found none; `unips render` makes some"
+            )
+        self._objects = [_find_files(folder, min_images) for folder in folders]
+
+    def __len__(self) -> int:
+        """Number of objects."""
+        return len(self._objects)
+
+    def __getitem__(self, index: int) -> TrainingObject:
+        """Where object number `index` is."""
+        return self._objects[index]
+
+
+def _find_files(folder: Path, min_images: int) -> TrainingObject:
+    normals = folder / NORMALS
+    if not normals.is_file():
+        raise InputError(f"{normals}: expected the object's true normals, found none")
+    photographs = tuple(photographs_of(folder, "0L"))
+    if len(photographs) < min_images:
+        raise InputError(
+            f"{folder}: expected at least {min_images} photographs 0* or L*, found "
+            f"{len(photographs)}; lower the largest of --data.num-images"
+        )
+    return TrainingObject(photographs, normals)
+
+
+def read_object(
+    files: TrainingObject, chosen: np.ndarray, size: int
+) -> dict[str, np.ndarray]:
+    """Reads some of an object's photographs, averaged down to a square size.
+
+    Zeros below or to the right make squares of those that are none.
+
+    Args:
+        files: of the object.
+        chosen: which photographs, in order.
+        size: side of the result, in pixels.
+
+    Returns:
+        `images [N, size, size, 3]`, float32 linear light, zero outside the mask;
+        `mask [size, size]`, bool; `normals [size, size, 3]`, unit length inside.
+
+    Raises:
+        InputError: if a file is damaged or has another size than the normals.
+    """
+    normals = read_normals(files.normals)
+    mask = has_unit_length(normals)
+    if not mask.any():
+        raise InputError(f"{files.normals}: expected unit normals, found no pixel")
+    share = _resize(mask.astype(np.float32), size)
+    small_mask = share > 0.5
+    small = _resize(normals * mask[..., None], size) * small_mask[..., None]
+    length = np.linalg.norm(small, axis=-1, keepdims=True)
+    images = np.zeros((len(chosen), size, size, 3), np.float32)
+    for i, index in enumerate(chosen):
+        path = files.photographs[index]
+        image = _read(path)
+        if image.shape != normals.shape:
+            raise InputError(
+                f"{path}: expected {normals.shape[:2]} pixels as in "
+                f"{files.normals.name}, got {image.shape[:2]}"
+            )
+        image = _resize(image * mask[..., None], size)
+        images[i] = image / np.maximum(share, 0.5)[..., None] * small_mask[..., None]
+    return {
+        "images": images,
+        "mask": small_mask,
+        "normals": (small / np.maximum(length, 1e-6)).astype(np.float32),
+    }
+
+
+def _read(path: Path) -> np.ndarray:
+    """A photograph `[H, W, 3]`, float32; integers become [0, 1]."""
+    image = np.maximum(as_float(read_image(path)), 0)
+    return np.broadcast_to(image, (*image.shape[:2], 3))
+
+
+def _resize(image: np.ndarray, size: int) -> np.ndarray:
+    """Makes a square, with zeros, and averages it down, or interpolates it up."""
+    height, width = image.shape[:2]
+    if height == width == size:
+        return image
+    side = max(height, width)
+    bottom, right = side - height, side - width
+    image = cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_CONSTANT)
+    method = cv2.INTER_AREA if side >= size else cv2.INTER_LINEAR
+    return cv2.resize(image, (size, size), interpolation=method)

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from unips_jax.io.color import srgb_encode
-from unips_jax.io.normals import write_png
+from unips_jax.io.images import write_image
+from unips_jax.io.masks import mask_box
 
 _TILE = 240
 _GAP = 8
@@ -89,11 +90,9 @@ def shade(normals: np.ndarray, azimuth_deg: float) -> np.ndarray:
 def _view(mask: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns of the mask's bounding box and a margin of 3%."""
     view = []
-    for axis in (1, 0):
-        span = np.flatnonzero(mask.any(axis=axis))
-        low, high = int(span[0]), int(span[-1]) + 1
-        margin = 1 + (high - low) * 3 // 100
-        view.append(slice(max(low - margin, 0), high + margin))
+    for side in mask_box(mask):
+        margin = 1 + (side.stop - side.start) * 3 // 100
+        view.append(slice(max(side.start - margin, 0), side.stop + margin))
     return view[0], view[1]
 
 
@@ -220,5 +219,4 @@ def _save(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # characters that the font lacks
         drawing.draw()
-    pixels = np.asarray(drawing.buffer_rgba())[..., 2::-1]  # BGR
-    write_png(file, pixels)
+    write_image(file, np.asarray(drawing.buffer_rgba())[..., :3])

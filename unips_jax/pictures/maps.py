@@ -4,6 +4,9 @@ import cv2
 import matplotlib
 import numpy as np
 
+from unips_jax.io.color import srgb_encode
+from unips_jax.io.masks import mask_box
+
 ERROR_LIMIT_DEG = 80.0
 """Error maps are clipped here, as in the seed paper's figures."""
 
@@ -50,7 +53,7 @@ def photograph_picture(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """
     white = float(np.percentile(image[mask].max(axis=-1), 99))
     linear = np.clip(image / white if white > 0 else image, 0, 1)
-    return _on_white(np.where(linear < 0.0031308, 12.92 * linear, _srgb(linear)), mask)
+    return _on_white(srgb_encode(linear), mask)
 
 
 def shrink(picture: np.ndarray, limit: int) -> np.ndarray:
@@ -65,16 +68,8 @@ def shrink(picture: np.ndarray, limit: int) -> np.ndarray:
 
 def frame(mask: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns of the mask with a margin of 3% around, to look at."""
-    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
-    margin = 2 + int(0.03 * max(np.ptp(rows), np.ptp(columns)))
-    return (
-        slice(max(int(rows[0]) - margin, 0), int(rows[-1]) + 1 + margin),
-        slice(max(int(columns[0]) - margin, 0), int(columns[-1]) + 1 + margin),
-    )
-
-
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    return 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
+    longer = max(side.stop - side.start - 1 for side in mask_box(mask))
+    return mask_box(mask, 2 + int(0.03 * longer))
 
 
 def _on_white(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:

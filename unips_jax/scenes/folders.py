@@ -7,7 +7,6 @@ Under directional light it holds `light_directions` and `light_intensities`, suc
 Lambertian surface appears as albedo x intensity x max(n . l, 0).
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,8 @@ import numpy as np
 from unips_jax.console import track
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claimed
-from unips_jax.io.ps_wild import write_folder, write_picture
+from unips_jax.io.images import write_image
+from unips_jax.io.ps_wild import focal_facts, read_meta, write_folder
 from unips_jax.provenance import code_hash
 from unips_jax.scenes import (
     LIGHT_KINDS,
@@ -27,9 +27,6 @@ from unips_jax.scenes import (
     SceneConfig,
     render_batch,
 )
-
-_FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
-
 
 LIGHTINGS = ("directional", "environment", "mixed")
 
@@ -53,10 +50,9 @@ def describe(scene: Scene) -> dict[str, Any]:
         "light": LIGHT_KINDS[int(scene.light_kind)],
         "shape": SHAPE_KINDS[int(scene.shape_kind)],
         "material": MATERIALS[int(scene.material)],
+        **focal_facts(focal_mm, scene.mask.shape[-1]),
         "focal_mm": round(focal_mm, 3) or None,
     }
-    if focal_mm:  # in pixels, as the evaluation reads it
-        facts["focal"] = focal_mm / _FRAME_MM * scene.mask.shape[-1]
     if facts["light"] == "directional":
         facts["light_directions"] = np.asarray(scene.light_directions).tolist()
         # A Lambertian surface reflects its albedo / pi of the irradiance.
@@ -118,13 +114,7 @@ def _is_there(folder: Path, options: dict[str, int]) -> bool:
     """Refuses a folder of another seed, size, number of photographs or code."""
     if not folder.exists():
         return False
-    try:
-        facts = json.loads((folder / "meta.json").read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{folder}: expected a folder that `unips render` wrote, got one whose "
-            f"meta.json cannot be read ({error}); choose another -o"
-        ) from None
+    facts = read_meta(folder)
     facts["images"] = len(list(folder.glob("L_*")))
     found = {name: facts.get(name) for name in options}
     if found != options:
@@ -180,4 +170,4 @@ def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
         batch = render_batch(keys, size=size, num_images=3)
         batches.append(jax.tree.map(np.asarray, batch))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
-    write_picture(path, contact_sheet(joined))
+    write_image(path, contact_sheet(joined))

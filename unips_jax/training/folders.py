@@ -10,7 +10,7 @@ from pathlib import Path
 import grain
 import numpy as np
 
-from unips_jax.io.ps_wild_objects import PSWildFolders, TrainingObject, read_object
+from unips_jax.io.ps_wild import PSWildFolders, TrainingObject, read_object
 
 READ_AHEAD = 4  # batches held ready, each read by a thread of its own
 

@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 
 from unips_jax.checks import require_choice
+from unips_jax.io.masks import mask_box
 
 Norm = Literal["range01", "literal10", "none"]
 Per = Literal["image", "stack"]
@@ -57,13 +58,7 @@ def box(mask: np.ndarray, margin: int | None) -> tuple[slice, slice]:
     """
     if margin is None:
         return slice(0, mask.shape[0]), slice(0, mask.shape[1])
-    sides = []
-    for axis, size in ((1, mask.shape[0]), (0, mask.shape[1])):
-        inside = np.flatnonzero(mask.any(axis=axis))
-        sides.append(
-            slice(max(inside[0] - margin, 0), min(inside[-1] + 1 + margin, size))
-        )
-    return sides[0], sides[1]
+    return mask_box(mask, margin)
 
 
 def masked(images: np.ndarray, mask: np.ndarray) -> np.ndarray:

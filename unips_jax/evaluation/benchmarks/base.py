@@ -13,7 +13,8 @@ import numpy as np
 
 from unips_jax.baselines.method import Lights
 from unips_jax.errors import InputError
-from unips_jax.evaluation.benchmarks import files, images
+from unips_jax.evaluation.benchmarks import files
+from unips_jax.io.images import check_image, read_image_file, require_finite
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,45 +159,46 @@ class Benchmark(abc.ABC):
         """
         entry = self.entries[index]
         truth = self._checked_truth(entry)
-        stack, notes = self.photographs(entry, truth.mask.shape)
+        stack, focal, notes = self.photographs(entry, truth.mask)
         return Item(
             entry.name,
             stack,
             truth.mask,
             truth.normals,
             truth.lights,
-            truth.focal,
+            focal if truth.focal is None else truth.focal,
             entry.tags,
             entry.notes + truth.notes + notes,
         )
 
     def photographs(
-        self, entry: Entry, shape: tuple[int, ...]
-    ) -> tuple[np.ndarray, tuple[str, ...]]:
+        self, entry: Entry, mask: np.ndarray
+    ) -> tuple[np.ndarray, float | None, tuple[str, ...]]:
         """Reads an object's photographs.
 
         Args:
             entry: the object.
-            shape: height and width of its mask.
+            mask: its mask.
 
         Returns:
-            `Item`'s images, and notes on them.
+            `Item`'s images, the focal length where the photographs tell it, and notes.
 
         Raises:
             InputError: if a file is damaged or the files do not agree.
         """
         stack: np.ndarray | None = None
         for i, path in enumerate(entry.images):
-            image = images.read_image(path)
-            self._check_image(path, image.shape[2], image.shape[:2], shape)
-            image = np.broadcast_to(image[..., :3], (*shape, 3))
+            file = read_image_file(path)
+            require_finite(path, file.pixels)
+            self._check_image(path, file.channels, file.pixels.shape[:2], mask.shape)
+            image = np.broadcast_to(file.pixels, (*mask.shape, 3))
             if stack is None:
-                stack = np.empty((len(entry.images), *shape, 3), image.dtype)
+                stack = np.empty((len(entry.images), *mask.shape, 3), image.dtype)
             elif image.dtype != stack.dtype:
                 raise InputError(f"{path}: {image.dtype}, the others {stack.dtype}")
             stack[i] = image
         assert stack is not None  # `find` never yields an entry without images
-        return stack, ()
+        return stack, None, ()
 
     def check(self, index: int) -> str:
         """Reads an object's files through without keeping its photographs.
@@ -211,7 +213,7 @@ class Benchmark(abc.ABC):
         entry = self.entries[index]
         truth = self._checked_truth(entry)
         digest = hashlib.blake2b(digest_size=16)
-        for path, data in self.checked_photographs(entry, truth.mask.shape):
+        for path, data in self.checked_photographs(entry, truth.mask):
             self._digest(digest, path, data)
         for path in entry.files:
             self._digest(digest, path, files.read_bytes(path))
@@ -219,22 +221,21 @@ class Benchmark(abc.ABC):
         return digest.hexdigest()
 
     def checked_photographs(
-        self, entry: Entry, shape: tuple[int, ...]
+        self, entry: Entry, mask: np.ndarray
     ) -> Iterator[tuple[Path, bytes]]:
         """Yields the photographs' files and contents, once they are known to be sound.
 
         Arguments and errors are those of `photographs`.
         """
-        first: images.ImageFacts | None = None
+        first: np.dtype | None = None
         for path in entry.images:
             data = files.read_bytes(path)
-            facts = images.image_facts(data, path)
-            self._check_image(path, facts.channels, facts[:2], shape)
-            first = first or facts
-            if facts.bits != first.bits:
+            height, width, channels, dtype = check_image(data, path)
+            self._check_image(path, channels, (height, width), mask.shape)
+            first = first or dtype
+            if dtype != first:
                 raise InputError(
-                    f"{path}: {facts.bits} bits, but {entry.images[0].name} has "
-                    f"{first.bits}"
+                    f"{path}: {dtype} pixels, but {entry.images[0].name} has {first}"
                 )
             yield path, data
 

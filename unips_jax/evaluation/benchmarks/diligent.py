@@ -19,8 +19,9 @@ from typing import ClassVar
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.evaluation.benchmarks import files, images
+from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
+from unips_jax.io.masks import read_mask
 
 _OBJECTS = (
     *("ball", "bear", "buddha", "cat", "cow"),
@@ -227,7 +228,7 @@ def _companions(folder: Path, *, truth: bool) -> tuple[Path, ...]:
 
 def _read_truth(entry: Entry, *, skip: int = 0) -> Truth:
     folder = entry.images[0].parent
-    mask = images.read_mask(folder / "mask.png")
+    mask = read_mask(folder / "mask.png")
     tables = []
     for name in _TABLES[1:]:
         what = f"{name.removesuffix('.txt').replace('_', ' ')}, three per image"

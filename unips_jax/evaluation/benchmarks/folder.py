@@ -1,21 +1,23 @@
 """A plain folder of photographs with a `normal.*`, or a folder of such folders."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.evaluation.benchmarks import files, images
+from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
-from unips_jax.io.color import as_linear, usual_transfer
-from unips_jax.io.exif import exif_focal
-from unips_jax.io.images import SUFFIXES
+from unips_jax.io.color import as_linear
+from unips_jax.io.images import ImageFile, decode_image, read_image_file
+from unips_jax.io.masks import read_mask
+from unips_jax.io.names import SUFFIXES
+from unips_jax.io.normals import has_unit_length, normals_of
 from unips_jax.io.photographs import (
+    Capture,
     Selection,
     folder_name,
-    read_mask,
-    read_photographs,
+    read_capture,
     select,
 )
 
@@ -65,61 +67,60 @@ class Folder(Benchmark):
 
     def truth(self, entry: Entry) -> Truth:
         """Reads the true normals and the mask."""
-        path = entry.files[0]
-        normals = images.read_normals(path)
+        file = read_image_file(entry.files[0], vectors=True)
+        normals = normals_of(file)
         if len(entry.files) > 1:
             mask = read_mask(entry.files[1])
             if mask.shape != normals.shape[:2]:
                 raise InputError(
                     f"{entry.files[1]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
-                    f"{path.name} has {normals.shape[1]} x {normals.shape[0]}"
+                    f"{file.path.name} has {normals.shape[1]} x {normals.shape[0]}"
                 )
+        elif file.pixels.dtype == np.uint8:
+            mask = has_unit_length(normals, 0.05)
         else:
-            mask = _unit(path, normals)
-        focal = exif_focal(entry.images[0], *mask.shape)
-        return Truth(mask, normals, focal=focal)
+            mask = has_unit_length(normals)
+        return Truth(mask, normals)
 
     def photographs(
-        self, entry: Entry, shape: tuple[int, ...]
-    ) -> tuple[np.ndarray, tuple[str, ...]]:
+        self, entry: Entry, mask: np.ndarray
+    ) -> tuple[np.ndarray, float | None, tuple[str, ...]]:
         """Reads the photographs as `unips estimate` does, and makes them linear."""
-        stack = _read(entry, shape)
-        if usual_transfer(stack.dtype) == "linear":
-            return stack, ()
-        linear = np.empty(stack.shape, np.float32)
-        for place, image in zip(linear, stack, strict=True):
+        read = _read(entry, mask, read_image_file)
+        if read.transfer == "linear":
+            return read.images, read.focal, ()
+        linear = np.empty(read.images.shape, np.float32)
+        for place, image in zip(linear, read.images, strict=True):
             place[...] = as_linear(image, "srgb")
-        return linear, ("8-bit photographs taken as sRGB and made linear",)
+        return linear, read.focal, ("8-bit photographs taken as sRGB and made linear",)
 
     def checked_photographs(
-        self, entry: Entry, shape: tuple[int, ...]
+        self, entry: Entry, mask: np.ndarray
     ) -> Iterator[tuple[Path, bytes]]:
         """Yields the photographs' files and contents, all read before."""
-        _read(entry, shape)
-        for path in entry.images:
-            yield path, files.read_bytes(path)
+        contents = {}
+
+        def read(path: Path) -> ImageFile:
+            contents[path] = files.read_bytes(path)
+            return decode_image(contents[path], path)
+
+        _read(entry, mask, read)
+        yield from contents.items()
 
 
-def _read(entry: Entry, shape: tuple[int, ...]) -> np.ndarray:
-    """The photographs as stored, `[N, H, W, 3]`."""
-    first = entry.images[0]
-    mask_file = entry.files[1] if len(entry.files) > 1 else None
-    selection = Selection(first.parent, entry.images, {}, mask_file)
-    stack, mask, _ = read_photographs(selection)
-    if mask.shape != tuple(shape):
-        raise InputError(
-            f"{first}: expected {shape[1]} x {shape[0]} pixels as "
-            f"{entry.files[0].name}, got {mask.shape[1]} x {mask.shape[0]}; remove or "
-            "re-export it"
-        )
-    return stack
+def _read(entry: Entry, mask: np.ndarray, read: Callable[[Path], ImageFile]) -> Capture:
+    def read_fitting(path: Path) -> ImageFile:
+        file = read(path)
+        height, width = file.pixels.shape[:2]
+        if (height, width) != mask.shape:
+            raise InputError(
+                f"{path}: expected {mask.shape[1]} x {mask.shape[0]} pixels as "
+                f"{entry.files[0].name}, got {width} x {height}; remove or re-export it"
+            )
+        return file
 
-
-def _unit(path: Path, normals: np.ndarray) -> np.ndarray:
-    facts = images.image_facts(files.read_bytes(path), path)
-    if facts.bits > 8:
-        return images.has_unit_length(normals)
-    return np.abs(np.linalg.norm(normals, axis=-1) - 1) < 0.05
+    selection = Selection(entry.images[0].parent, entry.images, {}, None)
+    return read_capture(selection, read=read_fitting, mask=mask)
 
 
 def _truth_file(folder: Path) -> Path | None:

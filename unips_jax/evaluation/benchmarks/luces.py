@@ -18,8 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.evaluation.benchmarks import files, images
+from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
+from unips_jax.io.masks import read_mask
+from unips_jax.io.normals import read_normals
 
 _OBJECTS = (
     *("Ball", "Bell", "Bowl", "Buddha", "Bunny", "Cup", "Die"),
@@ -65,7 +67,7 @@ class Luces(Benchmark):
     def truth(self, entry: Entry) -> Truth:
         """Reads mask, true normals and camera, and checks the depth."""
         mask_path, normals_path, leds_path, depth_path = entry.files
-        mask = images.read_mask(mask_path)
+        mask = read_mask(mask_path)
         depth = files.read_npz(depth_path, "zgt")
         if depth.shape != mask.shape:
             raise InputError(
@@ -77,7 +79,7 @@ class Luces(Benchmark):
                 f"{leds_path}: {len(leds.positions)} LEDs but {len(entry.images)} "
                 "images"
             )
-        normals = images.read_normals(normals_path)
+        normals = read_normals(normals_path)
         if normals.shape[:2] != mask.shape:
             raise InputError(
                 f"{normals_path}: shape {normals.shape[:2]}, the mask {mask.shape}"

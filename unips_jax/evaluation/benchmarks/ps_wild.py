@@ -13,18 +13,24 @@ names its lighting (`directional`; `environment`, `hdri`, `env`; `mixed`,
 
 import csv
 import functools
-import json
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from unips_jax.baselines.method import Lights
 from unips_jax.errors import InputError
-from unips_jax.evaluation.benchmarks import files, images
+from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
+from unips_jax.io.masks import read_mask
+from unips_jax.io.normals import has_unit_length, read_normals
+from unips_jax.io.ps_wild import (
+    MASK,
+    META,
+    NORMALS,
+    meta_focal,
+    meta_lights,
+    photographs_of,
+    read_meta,
+)
 
 _LIGHTINGS = {
     **{name: "directional" for name in ("directional", "dir", "directional_light")},
@@ -71,36 +77,31 @@ class PSWildTest(Benchmark):
     def _entry(self, folder: Path, position: int, count: int) -> Entry:
         photographs = tuple(
             sorted(
-                (
-                    p
-                    for p in folder.iterdir()
-                    if p.name.lower().startswith(self.prefix)
-                    and images.is_photograph(p)
-                ),
+                photographs_of(folder, self.prefix),
                 key=lambda p: files.natural_key(p.name),
             )
         )
         if not photographs:
             raise InputError(f"{folder}: no photographs named {self.prefix.upper()}*")
-        extras = [p for n in ("mask.png", "meta.json") if (p := folder / n).is_file()]
+        extras = [p for n in (MASK, META) if (p := folder / n).is_file()]
         tags = {"object": folder.name.removesuffix(".data")}
         relative = folder.parent.relative_to(self.root)
         if folder.parent != self.root:
             tags["lighting"] = _lighting(folder.parent)
         tags |= _materials(folder, position, count)
         name = (relative / tags["object"]).as_posix()
-        return Entry(name, photographs, (folder / "normal.tif", *extras), tags)
+        return Entry(name, photographs, (folder / NORMALS, *extras), tags)
 
     def truth(self, entry: Entry) -> Truth:
         """Reads the true normals and what `meta.json` says of lights and camera."""
         path = entry.files[0]
-        normals = images.read_normals(path)
-        mask = images.has_unit_length(normals)
+        normals = read_normals(path)
+        mask = has_unit_length(normals)
         notes = []
         for extra in entry.files[1:]:
-            if extra.name != "mask.png":
+            if extra.name != MASK:
                 continue
-            given = images.read_mask(extra)
+            given = read_mask(extra)
             if given.shape != mask.shape:
                 raise InputError(
                     f"{extra}: {given.shape[1]} x {given.shape[0]} pixels, but "
@@ -110,14 +111,10 @@ class PSWildTest(Benchmark):
             if lost:
                 notes.append(f"{lost} masked pixels have no true normal: left out")
             mask &= given
-        meta = _meta(path.parent)
-        lights = _meta_lights(meta, path.parent / "meta.json")
-        focal = meta.get("focal")
-        if focal is not None and not (isinstance(focal, (int, float)) and focal > 0):
-            raise InputError(f"{path.parent / 'meta.json'}: focal is not a length")
-        if focal is None and meta.get("focal_mm", 0) is None:  # as both renderers write
-            focal = math.inf
-        return Truth(mask, normals, lights, focal, tuple(notes))
+        meta, told = read_meta(path.parent), path.parent / META
+        lights = meta_lights(meta, told)
+        known = distant_lights(*lights, path.parent) if lights else None
+        return Truth(mask, normals, known, meta_focal(meta, told), tuple(notes))
 
 
 class PSWildTrain(PSWildTest):
@@ -149,7 +146,7 @@ def manifest() -> tuple[Mapping[str, str], ...]:
 
 
 def _materials(folder: Path, position: int, count: int) -> dict[str, str]:
-    meta = _meta(folder)
+    meta = read_meta(folder)
     if meta:
         told = {k: meta.get(k) for k in ("category", "material", "shape")}
         return {k: v for k, v in told.items() if isinstance(v, str) and v}
@@ -161,38 +158,3 @@ def _materials(folder: Path, position: int, count: int) -> dict[str, str]:
     if row is None:
         return {}
     return {"category": row["category"], "material": row["material"]}
-
-
-def _meta(folder: Path) -> dict[str, Any]:
-    path = folder / "meta.json"
-    if not path.is_file():
-        return {}
-    try:
-        meta = json.loads(files.read_bytes(path))
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON ({error})") from error
-    if not isinstance(meta, dict):
-        raise InputError(f"{path}: expected a JSON object")
-    return meta
-
-
-def _meta_lights(meta: Mapping[str, Any], path: Path) -> Lights | None:
-    if meta.get("light_directions") is None:
-        return None
-    arrays: list[np.ndarray | None] = []
-    for key in ("light_directions", "light_intensities"):
-        value = meta.get(key)
-        if value is None:
-            arrays.append(None)
-            continue
-        try:
-            array = np.array(value, np.float64)
-        except (ValueError, TypeError):
-            array = np.empty(0)
-        if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
-            raise InputError(
-                f"{path}: expected three finite numbers per image in {key}"
-            )
-        arrays.append(array)
-    assert arrays[0] is not None  # its key is there
-    return distant_lights(arrays[0], arrays[1], path.parent)

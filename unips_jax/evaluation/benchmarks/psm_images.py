@@ -19,8 +19,9 @@ import numpy as np
 
 from unips_jax.baselines.method import Lights
 from unips_jax.errors import InputError
-from unips_jax.evaluation.benchmarks import files, images
+from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
+from unips_jax.io.masks import read_mask
 
 _OBJECTS = ("buddha", "cat", "gray", "horse", "owl", "rock")
 
@@ -51,7 +52,7 @@ class PsmImages(Benchmark):
 
     def truth(self, entry: Entry) -> Truth:
         """Reads mask and lights; computes the grey sphere's normals."""
-        mask = images.read_mask(entry.files[0])
+        mask = read_mask(entry.files[0])
         lights: Lights | None = None
         notes: tuple[str, ...] = ()
         if len(entry.files) > 1:

@@ -1,0 +1,112 @@
+"""Image formats: what a file's header says, and then its pixels.
+
+A format is known by content, never by name. Each has one reader for all its variants:
+TIFF tifffile; EXR OpenEXR; JPEG libjpeg-turbo by simplejpeg, which gives a decoder's
+warnings as errors; PNG, WebP and Radiance HDR imagecodecs; BMP, GIF and PBM Pillow.
+All raise on damaged data, in whatever thread. A kind that is not read is refused by
+its name.
+"""
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from unips_jax.io.formats import exr, raster, tiff
+from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead
+
+__all__ = ["Damaged", "Encoded", "NotRead", "decode", "open_encoded"]
+
+_OTHERS = (  # formats that are known but not read
+    (rb"....ftyp(heic|heix|hevc|heim|heis|mif1|msf1)", "a HEIC picture"),
+    (rb"....ftyp(avif|avis)", "an AVIF picture"),
+    (rb"....ftypcrx", "a camera's raw file (CR3)"),
+    (rb"FUJIFILMCCD-RAW", "a camera's raw file (RAF)"),
+    (rb"IIU\0", "a camera's raw file (RW2)"),
+    (rb"IIR[OS]|MMOR", "a camera's raw file (ORF)"),
+    (rb"FOVb", "a camera's raw file (X3F)"),
+    (rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51", "a JPEG 2000 picture"),
+    (rb"\0\0\0\x0cJXL |\xff\x0a", "a JPEG XL picture"),
+    (rb"II\xbc", "a JPEG XR picture"),
+    (rb"8BPS", "a Photoshop document"),
+    (rb"gimp xcf", "a GIMP document"),
+    (rb"%PDF", "a PDF document"),
+    (rb"P[Ff]\s", "a PFM picture"),
+    (rb"P[123]\s", "a PNM picture written as text"),
+)
+
+
+def open_encoded(data: bytes, *, vectors: bool = False) -> Encoded:
+    """Reads a file's header.
+
+    Args:
+        data: the file's bytes.
+        vectors: the picture is a normal map; see `exr.open_exr`.
+
+    Raises:
+        NotRead: if it is of a kind that is not read.
+        Damaged: if it is damaged.
+    """
+    for pattern, name in _OTHERS:
+        if re.match(pattern, data[:16], re.DOTALL):
+            raise NotRead(name)
+    try:
+        if data.startswith(exr.MAGIC):
+            return exr.open_exr(data, vectors=vectors)
+        return _opener(data)(data)
+    except (NotRead, Damaged):
+        raise
+    except Exception as error:  # the libraries raise many kinds
+        raise Damaged(_said(error)) from error
+
+
+def _opener(data: bytes) -> Callable[[bytes], Encoded]:
+    if data.startswith(tiff.MAGICS):
+        return tiff.open_tiff
+    if data.startswith(raster.JPEG_MAGIC):
+        return raster.open_jpeg
+    if data.startswith(raster.PNG_MAGIC):
+        return raster.open_png
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return raster.open_webp
+    if data.startswith(b"#?"):
+        return raster.open_hdr
+    if re.match(rb"P[56]\s", data[:3]):
+        return raster.open_pnm
+    if data.startswith((b"BM", b"GIF8")) or re.match(rb"P4\s", data[:3]):
+        return raster.open_by_pillow
+    raise Damaged("")
+
+
+def decode(encoded: Encoded) -> tuple[np.ndarray, np.ndarray | None]:
+    """Decodes a file's pixels, as they lie in it.
+
+    Args:
+        encoded: from `open_encoded`.
+
+    Returns:
+        `[H, W, 1 or 3]` and alpha `[H, W]` or None, of the type that its header says.
+
+    Raises:
+        NotRead: if it is of a kind that is not read.
+        Damaged: if it is damaged.
+    """
+    try:
+        pixels = np.atleast_3d(encoded.decode())
+    except (NotRead, Damaged):
+        raise
+    except Exception as error:
+        raise Damaged(_said(error)) from error
+    shape = (encoded.height, encoded.width, encoded.channels)
+    if pixels.shape != shape or pixels.dtype != encoded.dtype:
+        raise Damaged(
+            f"its header says {encoded.dtype} of {shape}, its pixels are "
+            f"{pixels.dtype} of {pixels.shape}"
+        )
+    if encoded.has_alpha:
+        return pixels[..., :-1], pixels[..., -1]
+    return pixels, None
+
+
+def _said(error: Exception) -> str:
+    return f"the decoder says: {' '.join(str(error).split())[:120]}"

@@ -1,0 +1,86 @@
+"""A file whose header was read, and why one is not."""
+
+import dataclasses
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+from PIL import Image
+
+_ORIENTATION, _EXIF, _FOCAL_35MM = 0x0112, 0x8769, 0xA405
+
+
+class NotRead(Exception):  # noqa: N818
+    """A sound file of a kind that is not read; the text names the kind."""
+
+
+class Damaged(Exception):  # noqa: N818
+    """A file that is cut short or changed; the text says how it shows."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Encoded:
+    """What a file's header says, before its pixels are decoded.
+
+    Attributes:
+        format: its name.
+        height: rows, as stored.
+        width: columns, as stored.
+        channels: as stored, alpha included.
+        has_alpha: whether the last channel is alpha.
+        dtype: of the pixels: uint8, uint16 or float32.
+        decode: gives them, `[H, W]` or `[H, W, channels]`.
+        allocated: pixels that the decoder will hold; 0 where they are H x W.
+        checked: whether checksums have shown already that the pixels are sound.
+        orientation: by EXIF, 1 (upright) to 8.
+        focal_35mm: 35 mm equivalent of the focal length in mm; 0 where unknown.
+        icc: the colour profile; empty where there is none.
+        gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unsaid.
+        srgb: whether a tag other than the profile says sRGB.
+    """
+
+    format: str
+    height: int
+    width: int
+    channels: int
+    has_alpha: bool
+    dtype: np.dtype
+    decode: Callable[[], np.ndarray]
+    allocated: int = 0
+    checked: bool = False
+    orientation: int = 1
+    focal_35mm: float = 0
+    icc: bytes = b""
+    gamma: float = 0
+    srgb: bool = False
+
+
+def exif_facts(block: bytes) -> dict[str, float]:
+    """Orientation and focal length in EXIF data; what is damaged counts as unsaid.
+
+    Args:
+        block: the data, with or without their `Exif` mark; may be empty.
+
+    Returns:
+        Fields of `Encoded`.
+    """
+    tags: dict[int, object] = {}
+    if block:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                data = Image.Exif()
+                data.load(block)
+                tags = {**data, **data.get_ifd(_EXIF)}
+        except Exception:  # Pillow raises many kinds for damaged data
+            tags = {}
+    return facts_of(tags.get(_ORIENTATION), tags.get(_FOCAL_35MM))
+
+
+def facts_of(orientation: object, focal_35mm: object) -> dict[str, float]:
+    """The fields of `Encoded` from values of the two tags, whatever they are."""
+    focal = focal_35mm if isinstance(focal_35mm, int | float) else 0
+    return {
+        "orientation": orientation if orientation in range(1, 9) else 1,  # type: ignore[dict-item]
+        "focal_35mm": max(focal, 0),
+    }

@@ -1,0 +1,235 @@
+"""JPEG, PNG, WebP, Radiance HDR, BMP, GIF and PNM."""
+
+import io
+import re
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+
+import imagecodecs
+import numpy as np
+import simplejpeg
+from PIL import Image
+
+from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, exif_facts
+
+JPEG_MAGIC = b"\xff\xd8\xff"
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+
+_FRAMES = {0xC0, 0xC1, 0xC2, 0xC9, 0xCA}  # baseline, extended, progressive
+_OTHER_FRAMES = {0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF}
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+_PROFILE_LIMIT = 4 << 20  # bytes of a colour profile
+_BYTE = np.dtype(np.uint8)
+
+
+def open_jpeg(data: bytes) -> Encoded:
+    """Reads a JPEG's segments; see `formats.open_encoded`."""
+    frame, exif, icc, kept = None, b"", b"", [data[:2]]
+    for marker, start, end in jpeg_segments(data):
+        kept.append(data[start - 4 : end])
+        if marker in _OTHER_FRAMES:
+            raise NotRead("a lossless or hierarchical JPEG")
+        if marker in _FRAMES:
+            frame = struct.unpack_from(">BHHB", data, start)
+        if marker == 0xE1 and data[start : start + 6] == b"Exif\0\0":
+            exif = exif or data[start:end]
+        if marker == 0xE2 and data[start : start + 12] == b"ICC_PROFILE\0":
+            icc += data[start + 14 : end]
+    if frame is None:
+        raise Damaged("without a frame")
+    bits, height, width, channels = frame
+    if bits != 8:
+        raise NotRead(f"a {bits}-bit JPEG")
+    if channels not in (1, 3):
+        raise NotRead("a CMYK JPEG" if channels == 4 else f"a JPEG of {channels} inks")
+    # Some cameras leave bytes between the segments. Any other complaint is damage.
+    clean = b"".join(kept) + data[end:]
+    colours = "GRAY" if channels == 1 else "RGB"
+    return Encoded(
+        "JPEG",
+        height,
+        width,
+        channels,
+        False,
+        _BYTE,
+        lambda: (
+            np.squeeze(simplejpeg.decode_jpeg(clean, colours, strict=True), 2)
+            if channels == 1
+            else simplejpeg.decode_jpeg(clean, colours, strict=True)
+        ),
+        icc=icc,
+        **exif_facts(exif),  # type: ignore[arg-type]
+    )
+
+
+def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yields (marker, start, end) of a JPEG's segments, up to the first scan.
+
+    Args:
+        data: the file's bytes. `start` is behind marker and length.
+    """
+    position = 2
+    while position + 4 <= len(data):
+        marker = data[position + 1]
+        if data[position] != 0xFF or marker in (0, 0xFF):
+            position += 1  # what decoders pass over between segments
+            continue
+        length = int.from_bytes(data[position + 2 : position + 4], "big")
+        yield marker, position + 4, position + 2 + length
+        if marker == 0xDA:
+            return
+        position += 2 + length
+
+
+def open_png(data: bytes) -> Encoded:
+    """Reads a PNG's chunks, checksums included; see `formats.open_encoded`."""
+    chunks: dict[bytes, bytes] = {}
+    position = len(PNG_MAGIC)
+    while b"IEND" not in chunks:
+        if position + 12 > len(data):
+            raise Damaged("cut short")
+        length, kind = struct.unpack_from(">I4s", data, position)
+        end = position + 12 + length
+        if end > len(data):
+            raise Damaged("cut short")
+        (checksum,) = struct.unpack_from(">I", data, end - 4)
+        if zlib.crc32(memoryview(data)[position + 4 : end - 4]) != checksum:
+            raise Damaged("a checksum does not match")
+        if kind != b"IDAT":
+            chunks.setdefault(kind, data[position + 8 : end - 4])
+        position = end
+    if b"acTL" in chunks:
+        raise NotRead("an animated PNG")
+    width, height, bits, colour = struct.unpack_from(">IIBB", chunks[b"IHDR"])
+    transparent = b"tRNS" in chunks
+    (gamma,) = struct.unpack(">I", chunks.get(b"gAMA", b"\0\0\0\0"))
+    return Encoded(
+        "PNG",
+        height,
+        width,
+        _PNG_CHANNELS[colour] + transparent,
+        colour in (4, 6) or transparent,
+        np.dtype(np.uint16 if bits == 16 else np.uint8),
+        lambda: imagecodecs.png_decode(data),
+        checked=True,
+        icc=_unpacked_profile(chunks.get(b"iCCP", b"")),
+        gamma=gamma / 100_000,
+        srgb=b"sRGB" in chunks,
+        **exif_facts(chunks.get(b"eXIf", b"")),  # type: ignore[arg-type]
+    )
+
+
+def _unpacked_profile(chunk: bytes) -> bytes:
+    """The profile in a PNG's chunk; one that is damaged counts as none."""
+    _, _, packed = chunk.partition(b"\0")
+    try:
+        return zlib.decompressobj().decompress(packed[1:], _PROFILE_LIMIT)
+    except zlib.error:
+        return b""
+
+
+def open_webp(data: bytes) -> Encoded:
+    """Reads a WebP's chunks; see `formats.open_encoded`."""
+    chunks: dict[bytes, bytes] = {}
+    position = 12
+    while position + 8 <= len(data):
+        name, length = struct.unpack_from("<4sI", data, position)
+        chunks.setdefault(name, data[position + 8 : position + 8 + length])
+        position += 8 + length + length % 2
+    if b"ANIM" in chunks:
+        raise NotRead("an animated WebP")
+    lossless, lossy = chunks.get(b"VP8L"), chunks.get(b"VP8 ")
+    if lossless is not None:
+        packed = int.from_bytes(lossless[1:5], "little")
+        width, height = (packed & 0x3FFF) + 1, (packed >> 14 & 0x3FFF) + 1
+        alpha = bool(packed >> 28 & 1)
+    elif lossy is not None:
+        width, height = (n & 0x3FFF for n in struct.unpack_from("<HH", lossy, 6))
+        alpha = b"ALPH" in chunks
+    else:
+        raise Damaged("without pixels")
+    return Encoded(
+        "WebP",
+        height,
+        width,
+        3 + alpha,
+        alpha,
+        _BYTE,
+        lambda: imagecodecs.webp_decode(data, hasalpha=alpha),
+        icc=chunks.get(b"ICCP", b""),
+        **exif_facts(chunks.get(b"EXIF", b"")),  # type: ignore[arg-type]
+    )
+
+
+def open_hdr(data: bytes) -> Encoded:
+    """Reads a Radiance picture's header; see `formats.open_encoded`."""
+    header, _, rest = data.partition(b"\n\n")
+    size = re.match(rb"-Y (\d{1,9}) \+X (\d{1,9})\n", rest)
+    if b"FORMAT=32-bit_rle_xyze" in header:
+        raise NotRead("a Radiance picture of XYZ colours")
+    if not size:
+        if re.match(rb"[-+][XY] \d+ [-+][XY] \d+\n", rest):
+            raise NotRead("a Radiance picture that lies on its side or head")
+        raise Damaged("without a size")
+    return Encoded(
+        "Radiance HDR",
+        int(size[1]),
+        int(size[2]),
+        3,
+        False,
+        np.dtype(np.float32),
+        lambda: imagecodecs.rgbe_decode(data),
+    )
+
+
+def open_pnm(data: bytes) -> Encoded:
+    """Reads the header of a binary PGM or PPM; see `formats.open_encoded`."""
+    gap = rb"(?:\s|#[^\n]*\n)+"
+    number = rb"(\d{1,9})"
+    found = re.match(
+        rb"P([56])" + gap + number + gap + number + gap + number + rb"\s", data
+    )
+    if not found:
+        raise Damaged("without a size")
+    width, height, top = (int(found[i]) for i in (2, 3, 4))
+    if not 0 < top < 65536:
+        raise Damaged(f"with a largest value of {top}")
+    channels = 1 if found[1] == b"5" else 3
+    stored, full = (">u1", 255) if top < 256 else (">u2", 65535)
+
+    def decode() -> np.ndarray:
+        count = height * width * channels
+        values = np.frombuffer(data, stored, count, found.end()).astype(np.uint32)
+        values = np.minimum((values * full + top // 2) // top, full)
+        shape = (height, width) if channels == 1 else (height, width, 3)
+        return values.reshape(shape).astype(np.uint8 if full == 255 else np.uint16)
+
+    dtype = np.dtype(np.uint8 if full == 255 else np.uint16)
+    return Encoded("PNM", height, width, channels, False, dtype, decode)
+
+
+def open_by_pillow(data: bytes) -> Encoded:
+    """Reads the header of a BMP, GIF or PBM; see `formats.open_encoded`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its own limit of pixels: ours follows
+        image = Image.open(io.BytesIO(data), formats=("BMP", "GIF", "PPM"))
+    name = image.format or "BMP"
+    if getattr(image, "n_frames", 1) > 1:
+        raise NotRead(f"an animated {name}")
+    transparent = "transparency" in image.info
+    modes = {"1": "L", "L": "L", "P": "RGB", "RGB": "RGB", "RGBA": "RGBA"}
+    mode = modes.get(image.mode)
+    if mode is None:
+        raise NotRead(f"a {name} of {image.mode} pixels")
+    mode = "RGBA" if transparent else mode
+    return Encoded(
+        name,
+        image.height,
+        image.width,
+        len(mode),
+        mode == "RGBA",
+        _BYTE,
+        lambda: np.array(image.convert(mode)),
+    )

@@ -1,0 +1,172 @@
+"""TIFF, by tifffile: the one photograph of a file, in all its layouts.
+
+Bits per sample 1, 2, 4, 8 and 16 (unsigned) and 16, 32 and 64 (float); chunky and
+planar; strips and tiles; both byte orders; BigTIFF; uncompressed, LZW, deflate,
+PackBits, LZMA, Zstandard and, for bilevel pictures, CCITT. Grey of either sense, RGB
+and palettes, with alpha of either kind, which is not divided out.
+"""
+
+import io
+import logging
+import threading
+
+import numpy as np
+import tifffile
+
+from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, facts_of
+
+MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+_COMPRESSIONS = (1, 2, 3, 4, 5, 8, 32773, 32946, 34925, 50000)
+_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE = range(4)
+_CAMERA = (32803, 34892)  # colour filter array, linear raw
+_FLOAT = 3
+_REDUCED, _TRANSPARENCY = 1, 4
+_ALPHA = (1, 2)  # associated, unassociated
+_UNSPECIFIED = 0
+_EXIF, _ICC = 34665, 34675
+
+
+class _Complaints(logging.Handler):
+    """What tifffile says, in one thread, of tags and pages that it passes over."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.said = threading.local()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = record.getMessage()
+        if record.levelno >= logging.ERROR or "TiffPages" in text:
+            self.said.lines = [*self.lines(), text]
+
+    def lines(self) -> list[str]:
+        return getattr(self.said, "lines", [])
+
+
+_COMPLAINTS = _Complaints()
+logging.getLogger("tifffile").addHandler(_COMPLAINTS)
+
+
+def open_tiff(data: bytes) -> Encoded:
+    """Reads a TIFF's tags.
+
+    Args:
+        data: the file's bytes.
+
+    Raises:
+        NotRead: if it is of a kind that is not read.
+        Damaged: if it holds nothing.
+        Exception: of many kinds, if it is damaged.
+    """
+    _COMPLAINTS.said.lines = []
+    tiff = tifffile.TiffFile(io.BytesIO(data))
+    page = _photograph(tiff)
+    for line in _COMPLAINTS.lines():
+        raise Damaged(f"the decoder says: {line[:120]}")
+    _require_known(page)
+    bits, samples = page.bitspersample, page.samplesperpixel
+    colours = 3 if page.photometric == _RGB else 1
+    has_alpha = _has_alpha(page, colours)
+    if samples != colours + has_alpha:
+        raise NotRead(f"a TIFF of {samples} samples per pixel")
+    palette = page.photometric == _PALETTE
+    floating = page.sampleformat == _FLOAT
+    kind = np.float32 if floating else np.uint16 if bits == 16 else np.uint8
+    tags = page.tags
+
+    def decode() -> np.ndarray:
+        pixels = _channels_last(page)
+        if palette:
+            return (np.asarray(page.colormap)[:, pixels] >> 8).transpose(1, 2, 0)
+        return _scaled(pixels, bits, page.photometric == _WHITE_IS_ZERO, colours)
+
+    exif = tags.valueof(_EXIF)
+    focal = exif.get("FocalLengthIn35mmFilm") if isinstance(exif, dict) else None
+    return Encoded(
+        "TIFF",
+        page.imagelength,
+        page.imagewidth,
+        3 if palette else samples,
+        has_alpha,
+        np.dtype(np.uint8 if palette else kind),
+        lambda: decode().astype(np.uint8 if palette else kind, copy=False),
+        icc=bytes(tags.valueof(_ICC) or b""),
+        **facts_of(tags.valueof(274), focal),  # type: ignore[arg-type]
+    )
+
+
+def _photograph(tiff: tifffile.TiffFile) -> tifffile.TiffPage:
+    """The only page that is neither a preview nor a transparency mask."""
+    pages = [
+        page
+        for page in tiff.pages
+        if isinstance(page, tifffile.TiffPage)
+        and not int(page.subfiletype) & (_REDUCED | _TRANSPARENCY)
+        and not (page.tags.valueof(255) or 0) == 2  # the same, in old files
+    ]
+    if not len(tiff.pages):
+        raise Damaged("without pages")
+    if not pages:
+        raise NotRead("a TIFF that holds previews only")
+    count = len(pages)
+    if tiff.is_imagej and tiff.imagej_metadata:
+        count = max(count, int(tiff.imagej_metadata.get("images", 1)))
+    if count > 1:
+        raise NotRead(f"a TIFF of {count} pages, of which one must be chosen or each")
+    return pages[0]
+
+
+def _require_known(page: tifffile.TiffPage) -> None:
+    if page.photometric in _CAMERA:
+        raise NotRead("a camera's raw file (a TIFF of sensor values)")
+    if page.photometric not in (_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE):
+        name = getattr(page.photometric, "name", page.photometric)
+        raise NotRead(f"a TIFF of {name} colours")
+    if page.compression not in _COMPRESSIONS:
+        name = getattr(page.compression, "name", page.compression)
+        raise NotRead(f"a TIFF with {name} compression")
+    bits, form = page.bitspersample, page.sampleformat
+    if page.imagedepth > 1:
+        raise NotRead("a TIFF of a volume")
+    floating = form == _FLOAT and bits in (16, 32, 64)
+    if not (floating or (form in (1, 4) and bits in (1, 2, 4, 8, 16))):
+        kind = {2: "signed ", 3: "floating-point ", 5: "complex ", 6: "complex "}
+        raise NotRead(f"a TIFF of {bits}-bit {kind.get(form, '')}samples")
+    if page.photometric == _PALETTE and (page.colormap is None or bits > 8):
+        raise NotRead(f"a TIFF of {bits}-bit indices without their colours")
+
+
+def _has_alpha(page: tifffile.TiffPage, colours: int) -> bool:
+    extra = tuple(int(kind) for kind in page.extrasamples)
+    if page.samplesperpixel == colours:
+        return False
+    return len(extra) <= 1 and set(extra) <= {_UNSPECIFIED, *_ALPHA}
+
+
+def _channels_last(page: tifffile.TiffPage) -> np.ndarray:
+    height, width = page.imagelength, page.imagewidth
+    pixels = page.asarray()
+    planar = page.samplesperpixel > 1 and page.planarconfig == 2
+    if planar:
+        pixels = np.moveaxis(pixels, 0, -1)
+    if pixels.shape[:2] != (height, width):
+        raise ValueError(f"{pixels.shape[:2]} pixels in place of {(height, width)}")
+    return pixels
+
+
+def _scaled(
+    pixels: np.ndarray, bits: int, white_is_zero: bool, colours: int
+) -> np.ndarray:
+    """Few bits as eight, and white at the top."""
+    if bits < 8:
+        pixels = pixels.astype(np.uint8) * np.uint8(255 // (2**bits - 1))
+    if not white_is_zero:
+        return pixels
+    if pixels.dtype.kind == "f":
+        raise NotRead("a floating-point TIFF whose zero is white")
+    top = np.iinfo(pixels.dtype).max
+    if pixels.ndim == 2:
+        return top - pixels
+    inverted = pixels.copy()
+    inverted[..., :colours] = top - pixels[..., :colours]
+    return inverted
