@@ -16,7 +16,7 @@ from unips_jax.config import to_json
 from unips_jax.errors import InputError
 from unips_jax.train import load_config, main
 from unips_jax.training import loop
-from unips_jax.training.checkpoints import Checkpoints, changed_fields
+from unips_jax.training.checkpoints import changed_fields
 from unips_jax.training.config import Config, DataConfig, MeshConfig
 from unips_jax.training.guards import (
     alone_in,
@@ -25,11 +25,10 @@ from unips_jax.training.guards import (
     stop_on_sigterm,
 )
 from unips_jax.training.log import TrainLog
-from unips_jax.training.sharding import make_mesh, replicated
+from unips_jax.training.sharding import make_mesh
 
 CONFIG = Config(data=DataConfig(source="mixture", root="a", batch_size=8))
 MESH = make_mesh(MeshConfig(data=1))
-SHARDING = replicated(MESH)
 
 
 def altered(part, **fields):
@@ -165,23 +164,6 @@ def test_fields_are_listed_without_a_folder(capsys):
         main(["--config", tiny])
     assert end.value.code == 2
     assert "required: --workdir" in capsys.readouterr().err
-
-
-def test_the_newest_checkpoints_are_kept(tmp_path):
-    kept = dataclasses.replace(CONFIG.train, keep=2)
-    config = dataclasses.replace(CONFIG, train=kept)
-    shape = {"a": jax.ShapeDtypeStruct((3,), np.float32, sharding=SHARDING)}
-    with Checkpoints(tmp_path, config) as checkpoints:
-        assert checkpoints.latest_step() is None
-        for step in (3, 6, 9, 10):
-            checkpoints.save(step, {"a": np.float32([1, 2, step])}, {"best": -step})
-    names = {path.name for path in (tmp_path / "checkpoints").iterdir()}
-    assert names == {"9", "10"}
-    with Checkpoints(tmp_path, config) as checkpoints:
-        assert checkpoints.latest_step() == 10
-        state, record = checkpoints.restore(shape)
-    np.testing.assert_array_equal(state["a"], [1, 2, 10])
-    assert record == {"best": -10}
 
 
 def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):

@@ -3,12 +3,22 @@
 import dataclasses
 import json
 import random
+import shutil
 import signal
 import time
 
 import numpy as np
 import pytest
-from training_runs import CONFIG, DATA, final_params, finish, start, write_objects
+from training_runs import (
+    CONFIG,
+    DATA,
+    final_params,
+    finish,
+    flip_a_bit,
+    largest_file,
+    start,
+    write_objects,
+)
 
 from unips_jax.errors import InputError
 
@@ -30,6 +40,53 @@ def uninterrupted(tmp_path_factory, folders):
     return config, workdir
 
 
+def kill_while_writing(workdir, config, complete):
+    """Kills a run while it writes a checkpoint; again until nothing else was hit.
+
+    Args:
+        workdir: of a run that has begun or not.
+        config: of the run.
+        complete: how many checkpoints it completes before.
+    """
+    checkpoints = workdir / "checkpoints"
+    for _ in range(10):
+        process, before = start(workdir, config), names(checkpoints)
+        written: set[str] = set()
+        while process.poll() is None:
+            written |= {name for name in names(checkpoints) - before if name.isdigit()}
+            if len(written) >= complete and partial(checkpoints):
+                break
+            time.sleep(0.001)
+        time.sleep(random.random() * 0.1)
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        assert process.returncode == -signal.SIGKILL
+        if partial(checkpoints):
+            return
+    raise AssertionError("no kill fell into the writing of a checkpoint")
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()} if folder.exists() else set()
+
+
+def partial(checkpoints):
+    return any(".partial" in name for name in names(checkpoints))
+
+
+def assert_same_end(workdir, whole):
+    expected, actual = final_params(whole), final_params(workdir)
+    assert set(expected) == set(actual)
+    for name, value in expected.items():
+        np.testing.assert_array_equal(actual[name], value, err_msg=name)
+    assert losses(workdir) == losses(whole)
+
+
+def losses(workdir):
+    lines = (workdir / "metrics.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
+
+
 @pytest.mark.parametrize(
     "source", ["folders", pytest.param("mixture", marks=pytest.mark.slow)]
 )
@@ -47,34 +104,32 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(
         config = dataclasses.replace(CONFIG, data=data, model=model)
         whole = tmp_path / "whole"
         finish(start(whole, config))
-    log, checkpoints = workdir / "metrics.jsonl", workdir / "checkpoints"
+    kill_while_writing(workdir, config, complete=0)
+    kill_while_writing(workdir, config, complete=1)
+    assert "damaged" not in finish(start(workdir, config))
+    assert_same_end(workdir, whole)
 
-    def complete():
-        return {path.name for path in checkpoints.glob("*") if path.name.isdigit()}
 
-    for kill in range(3):
-        process, before = start(workdir, config), complete()
-        # The first falls into the first steps, the others upon, between or into the
-        # writing of checkpoints.
-        while process.poll() is None:
-            if complete() - before if kill else log.exists() and log.read_text():
-                break
-            time.sleep(0.01)
-        time.sleep(random.random() * 0.2)
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
-        assert process.returncode == -signal.SIGKILL
+@pytest.mark.slow
+@pytest.mark.parametrize("complete", range(10))
+def test_killed_while_writing_any_checkpoint(uninterrupted, tmp_path, complete):
+    config, whole = uninterrupted
+    workdir = tmp_path / "killed"
+    kill_while_writing(workdir, config, complete)
     finish(start(workdir, config))
-    expected, actual = final_params(whole), final_params(workdir)
-    assert set(expected) == set(actual)
-    for name, value in expected.items():
-        np.testing.assert_array_equal(actual[name], value, err_msg=name)
+    assert_same_end(workdir, whole)
 
-    def losses(workdir):
-        lines = (workdir / "metrics.jsonl").read_text().splitlines()
-        return [json.loads(line) for line in lines]
 
-    assert losses(workdir) == losses(whole)
+def test_a_damaged_checkpoint_gives_way_to_the_one_before(uninterrupted, tmp_path):
+    config, whole = uninterrupted
+    workdir = tmp_path / "damaged"
+    shutil.copytree(whole, workdir)
+    newest = workdir / "checkpoints" / "40"
+    flip_a_bit(largest_file(newest), 0.3)
+    told = finish(start(workdir, config))
+    assert told.count("damaged (") == 1 and "going on from checkpoint 39" in told
+    assert newest.with_name("40.damaged").is_dir()
+    assert_same_end(workdir, whole)
 
 
 def test_sigterm_saves(uninterrupted, tmp_path):

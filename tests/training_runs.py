@@ -101,3 +101,15 @@ def final_params(workdir: Path) -> dict[str, np.ndarray]:
     from safetensors.numpy import load_file
 
     return load_file(workdir / "last.safetensors")
+
+
+def largest_file(folder: Path) -> Path:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return max(files, key=lambda path: path.stat().st_size)
+
+
+def flip_a_bit(file: Path, share: float) -> None:
+    """Flips one bit, at this share of a file's length."""
+    content = bytearray(file.read_bytes())
+    content[int(share * len(content))] ^= 16
+    file.write_bytes(content)

@@ -1,20 +1,37 @@
-"""Training checkpoints, written with orbax.
+"""Training checkpoints: orbax writes the arrays, checksums guard the files.
 
-A checkpoint is written beside its place and moved there when complete, so that a kill
-at any moment leaves the earlier ones.
+A checkpoint is written beside its place. Once all its files are there, their checksums
+are added, and one renaming puts it in place, so that a kill at any moment leaves the
+earlier ones. The checksums are those of files, not of arrays: nothing damaged is then
+parsed, and they do not depend on how devices share the arrays.
 """
 
+import concurrent.futures
+import contextlib
 import json
+import logging
+import os
+import re
+import shutil
+import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from orbax.checkpoint import multihost
 from orbax.checkpoint import v1 as ocp
 
 from unips_jax.config import to_json
 from unips_jax.errors import InputError
+from unips_jax.training.checksums import damage, write_checksums
 from unips_jax.training.config import Config
+from unips_jax.training.guards import any_process
+from unips_jax.training.log import say
 
 # What may change between the runs of one training: where and how, not what.
 _FREE = {
@@ -28,6 +45,8 @@ _FREE = {
         *("validation_scenes", "validation_images"),
     },
 }
+# What the system said, within an error of the library that writes the arrays.
+_SYSTEM_ERROR = re.compile(r"os_error_code='(\d+)'")
 
 
 def changed_fields(saved: dict[str, Any], ours: dict[str, Any]) -> dict[str, Any]:
@@ -54,27 +73,41 @@ class Checkpoints:
     """The checkpoints of one run."""
 
     def __init__(self, workdir: Path, config: Config) -> None:
-        """Opens a run's folder; it is made if absent.
+        """Opens a run's folder, made if absent; no other run may be in it.
+
+        Damaged checkpoints newer than the newest intact one are set aside, as
+        `checkpoints/N.damaged`, and this is said.
 
         Args:
             workdir: of the run.
             config: of the run; the number of checkpoints kept is among it.
+
+        Raises:
+            InputError: if there are checkpoints and all are damaged.
         """
         self._config = config
         self._path = workdir / "checkpoints"
         self._path.mkdir(parents=True, exist_ok=True)
-        policies = ocp.training
-        self._checkpointer = policies.Checkpointer(
-            self._path.resolve(),
-            save_decision_policy=policies.save_decision_policies.FixedIntervalPolicy(1),
-            preservation_policy=policies.preservation_policies.LatestN(
-                config.train.keep
-            ),
-            cleanup_tmp_directories=jax.process_index() == 0,
-        )
+        self._quiet = contextlib.ExitStack()
+        self._writer = concurrent.futures.ThreadPoolExecutor(1)
+        self._writing: concurrent.futures.Future[None] | None = None
+        step, problem = None, None
+        if jax.process_index() == 0:
+            try:
+                step = self._sort_out()
+            except InputError as error:
+                problem = error
+        # The others wait here, for longer than a collective may last.
+        barrier = multihost.unique_barrier_key("checkpoints sorted out")
+        multihost.sync_global_processes(barrier, timeout=3600)
+        if any_process(problem is not None):
+            raise problem or InputError(f"{self._path}: process 0 says what is wrong")
+        shared = np.int64(-1 if step is None else step)
+        self._latest = int(multihost_utils.broadcast_one_to_all(shared))
 
     def __enter__(self) -> Self:
-        """Nothing to do."""
+        """Silences what the library prints of errors that are raised too."""
+        self._quiet.enter_context(_reported_once())
         return self
 
     def __exit__(
@@ -83,13 +116,22 @@ class Checkpoints:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Waits for writes under way."""
-        self._checkpointer.close()
+        """Waits for the write under way; its failure counts unless another is told."""
+        try:
+            with contextlib.suppress(*() if kind is None else (Exception,)):
+                self._wait()
+        finally:
+            self._writer.shutdown()
+            self._quiet.close()
 
     def latest_step(self) -> int | None:
-        """The step of the newest complete checkpoint; None if there is none."""
-        latest = self._checkpointer.latest
-        return None if latest is None else latest.step
+        """The step of the newest intact checkpoint found; None if there was none."""
+        return None if self._latest < 0 else self._latest
+
+    def check(self) -> None:
+        """Raises what `save` would, if the write under way has already failed."""
+        if self._writing is not None and self._writing.done():
+            self._wait()
 
     def save(self, step: int, state: Any, record: dict[str, Any]) -> None:
         """Starts to write a checkpoint; training goes on meanwhile.
@@ -98,19 +140,26 @@ class Checkpoints:
             step: steps done.
             state: a tree of arrays.
             record: what else must survive, anything JSON can hold.
+
+        Raises:
+            InputError: if the one before could not be written, as on a full disk.
         """
-        self._checkpointer.save_checkpointables_async(
-            step,
-            {"state": state},
-            custom_metadata={
-                "config": to_json(self._config),
-                "record": json.dumps(record),
-            },
-            overwrite=True,
-        )
+        self._wait()
+        at_once = ocp.Context()  # a folder that cannot be made is then told at once
+        at_once.asynchronous.create_directories_asynchronously = False
+        with self._failure_told(step), at_once:
+            response = ocp.save_checkpointables_async(
+                self._path.resolve() / f"{step}.partial",
+                {"state": state},
+                custom_metadata={
+                    "config": to_json(self._config),
+                    "record": json.dumps(record),
+                },
+            )
+        self._writing = self._writer.submit(self._complete, step, response)
 
     def restore(self, abstract_state: Any) -> tuple[Any, dict[str, Any]]:
-        """Reads the newest checkpoint.
+        """Reads the newest intact checkpoint.
 
         Args:
             abstract_state: shapes, types and shardings to read it into.
@@ -122,15 +171,111 @@ class Checkpoints:
             InputError: if it was written by a run that differs in more than its
                 length, rhythm, place of the data or memory.
         """
-        step = self.latest_step()
-        metadata = self._checkpointer.checkpointables_metadata(step).custom_metadata
+        folder = self._path.resolve() / str(self._latest)
+        metadata = ocp.checkpointables_metadata(folder).custom_metadata
         saved = json.loads(metadata["config"])
         changed = changed_fields(saved, json.loads(to_json(self._config)))
         if changed:
             raise InputError(
-                f"{self._path}: checkpoint {step} was written with another "
+                f"{folder}: this checkpoint was written with another "
                 f"configuration (field: saved, given): {changed}; continue with the "
                 "saved one, or choose another --workdir and --init-weights"
             )
-        state = self._checkpointer.load_checkpointables(step, {"state": abstract_state})
+        state = ocp.load_checkpointables(folder, {"state": abstract_state})
         return state["state"], json.loads(metadata["record"])
+
+    def _steps(self) -> list[int]:
+        names = [path.name for path in self._path.iterdir()]
+        return sorted(int(name) for name in names if name.isdecimal())
+
+    def _sort_out(self) -> int | None:
+        """Removes what was not completed, sets aside damage; the step that is left."""
+        self._remove_partial()
+        damaged: dict[int, str] = {}
+        for step in reversed(self._steps()):
+            problem = damage(self._path / str(step))
+            if problem is None:
+                break
+            damaged[step] = problem
+        else:
+            if damaged:  # left where they are: training anew must be the user's wish
+                told = "; ".join(f"{step}: {damaged[step]}" for step in damaged)
+                raise InputError(
+                    f"{self._path}: expected an intact checkpoint, got none ({told}); "
+                    "put a copy back, or choose another --workdir"
+                )
+            return None
+        for number, problem in damaged.items():
+            aside = self._path / f"{number}.damaged"
+            shutil.rmtree(aside, ignore_errors=True)
+            (self._path / str(number)).rename(aside)
+            say(
+                f"checkpoint {number} is damaged ({problem}): set aside as {aside}, "
+                f"going on from checkpoint {step}"
+            )
+        return step
+
+    def _complete(self, step: int, response: ocp.AsyncResponse[None]) -> None:
+        """Awaits the files, adds checksums, puts all in place, removes old ones."""
+        with self._failure_told(step):
+            response.result()
+            if jax.process_index() > 0:
+                return
+            partial = self._path / f"{step}.partial"
+            write_checksums(partial)
+            partial.rename(self._path / str(step))
+            for old in self._steps()[: -self._config.train.keep]:
+                shutil.rmtree(self._path / str(old))
+
+    @contextlib.contextmanager
+    def _failure_told(self, step: int) -> Iterator[None]:
+        """Names the checkpoint if the system says why it cannot be written."""
+        try:
+            yield
+        except Exception as error:
+            time.sleep(0.5)  # other writes may be failing still
+            if jax.process_index() == 0:
+                self._remove_partial()
+            code = getattr(error, "errno", None)
+            if said := _SYSTEM_ERROR.search(str(error)):
+                code = int(said[1])
+            if code is None:
+                raise
+            raise InputError(
+                f"{self._path / str(step)}: expected a place where the checkpoint can "
+                f"be written, got: {os.strerror(code)}; mend that, the same command "
+                "then goes on from the checkpoint before"
+            ) from None
+
+    def _remove_partial(self) -> None:
+        for path in self._path.glob("*.partial*"):
+            shutil.rmtree(path, ignore_errors=True)
+
+    def _wait(self) -> None:
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            writing.result()
+
+
+@contextlib.contextmanager
+def _reported_once() -> Iterator[None]:
+    """Silences what orbax prints of errors that it also raises: pages of tracebacks."""
+
+    def is_news(record: logging.LogRecord) -> bool:
+        return not (record.exc_info and record.levelno >= logging.ERROR)
+
+    def hook(what: Any) -> None:
+        if "Event loop is closed" not in str(what.exc_value):  # nobody waits any more
+            before(what)
+
+    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
+    before = sys.unraisablehook
+    sys.unraisablehook = hook
+    for logger in loggers:
+        logger.addFilter(is_news)
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+        for logger in loggers:
+            logger.removeFilter(is_news)

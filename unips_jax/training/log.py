@@ -13,6 +13,12 @@ import numpy as np
 from unips_jax.io.claims import write_whole
 
 
+def say(text: str) -> None:
+    """Prints a line, in the first process only."""
+    if jax.process_index() == 0:
+        print(text, file=sys.stderr, flush=True)
+
+
 class TrainLog:
     """Writes `metrics.jsonl` and prints, in the first process only."""
 
@@ -49,7 +55,7 @@ class TrainLog:
             self._per_step = (self._last[1] - start) / (step - before)
         minutes = self._per_step * (self._steps - step) / 60
         shown = " ".join(f"{name} {value:.3g}" for name, value in numbers.items())
-        self.line(f"step {step}/{self._steps} ({minutes:.0f} min left) {shown}")
+        say(f"step {step}/{self._steps} ({minutes:.0f} min left) {shown}")
 
     @property
     def shows_pictures(self) -> bool:
@@ -60,11 +66,6 @@ class TrainLog:
         """Records pictures, `[H, W, 3]` uint8, in TensorBoard."""
         for name, picture in named.items():
             self._tensorboard.add_image(name, picture, step, dataformats="HWC")
-
-    def line(self, text: str) -> None:
-        """Prints a line."""
-        if self._active:
-            print(text, file=sys.stderr, flush=True)
 
 
 def _step_of(line: str) -> float:

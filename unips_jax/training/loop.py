@@ -37,7 +37,7 @@ from unips_jax.training.guards import (
     check_input,
     stop_on_sigterm,
 )
-from unips_jax.training.log import TrainLog
+from unips_jax.training.log import TrainLog, say
 from unips_jax.training.sharding import (
     batch_sharding,
     make_mesh,
@@ -107,7 +107,7 @@ def train(
                 donate_argnums=0,
                 out_shardings=(shardings, replicated(mesh)),
             ),
-            log.line,
+            say,
             settle,
         )
         batches = _batches(config, scene_key, mesh, first)
@@ -119,6 +119,7 @@ def train(
             if pending is not None:
                 check_finite(*pending, workdir)
             pending = (step, batch, metrics)
+            checkpoints.check()
             unlogged.append(metrics)
             if step % config.train.log_every == 0:
                 log.metrics(step, _means(jax.device_get(unlogged)))
@@ -141,7 +142,7 @@ def train(
                 floats = jax.tree.map(float, unlogged)
                 checkpoints.save(step, state, {**record, "unlogged": floats})
             if stopping:
-                log.line(f"stopped by SIGTERM after step {step}; checkpoint saved")
+                say(f"stopped by SIGTERM after step {step}; checkpoint saved")
                 break
     params = to_host(state.released_params())
     _write_weights(workdir / "last.safetensors", config, params, int(state.step), {})
