@@ -1,12 +1,16 @@
 """What the commands share."""
 
+import errno
 import io
 import subprocess
 import sys
 
+import pytest
 import rich.progress
 
-from unips_jax.console import track
+from unips_jax.cli.main import COMMANDS
+from unips_jax.cli.main import main as unips
+from unips_jax.console import command, track
 
 CHATTY = """
 from unips_jax.console import command
@@ -42,3 +46,53 @@ def test_slow_items_have_a_time_left(monkeypatch):
         if item == 4:
             assert bars[0].tasks[0].time_remaining == 600
         clock[0] += 600
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, "render --engine cycles"])
+def test_help_names_the_command(name, capsys):
+    with pytest.raises(SystemExit) as end:
+        unips([*name.split(), "--help"])
+    assert end.value.code == 0
+    assert f"usage: unips {name} [-h]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["estimat"], "no command 'estimat'; perhaps estimate"),
+        (["validate", "--scene", "3"], "no option --scene: perhaps --scenes"),
+        (["demo", "--outptu=x"], "no option --outptu=x: perhaps --output"),
+        (["render", "-o", "x", "more"], "does not expect more: see `unips render"),
+        (["estimate", "-o", "out"], "expected a folder of photographs, got none"),
+    ],
+)
+def test_a_slip_has_its_nearest_named(arguments, expected, capsys):
+    assert unips(arguments) == 2
+    assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "a/b"), "a/b: No space left"),
+        (OSError(errno.ENOSPC, "No space left on device"), "error: No space left"),
+        (MemoryError(), "out of memory"),
+        (RuntimeError("Unable to initialize backend 'cuda':\nno"), "'cuda': no"),
+    ],
+)
+def test_what_is_no_bug_is_one_line(error, expected, capsys):
+    def fail(argv):
+        raise error
+
+    assert command(fail)([]) == 2
+    shown = capsys.readouterr().err
+    assert expected in shown and shown.count("\n") == 1
+
+
+@pytest.mark.parametrize("error", [RuntimeError("x"), ValueError("x"), OSError("x")])
+def test_a_bug_is_not_hidden(error):
+    def fail(argv):
+        raise error
+
+    with pytest.raises(type(error)):
+        command(fail)([])

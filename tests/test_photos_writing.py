@@ -1,5 +1,6 @@
 """Writing normals and the contact sheet."""
 
+import hashlib
 import json
 
 import cv2
@@ -10,13 +11,8 @@ import scipy.io
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import srgb_encode
-from unips_jax.io.normals import (
-    appearing_at_once,
-    check_target,
-    encode_normals,
-    write_normals,
-    write_record,
-)
+from unips_jax.io.normals import encode_normals, write_normals
+from unips_jax.io.results import appearing_at_once, check_target, write_record
 from unips_jax.pictures.estimate_sheet import shade, write_sheet
 
 
@@ -88,7 +84,7 @@ def test_files_appear_together_or_not_at_all(tmp_path):
     left = sorted(p.name for p in target.iterdir())
     assert left == ["normals.json", "normals.png", "notes.txt"]
     record = json.loads((target / "normals.json").read_text())
-    assert record == {"files": ["normals.json", "normals.png"]}
+    assert record == {"files": {"normals.png": hashlib.sha256(b"third").hexdigest()}}
 
 
 def test_nothing_of_the_users_is_overwritten(tmp_path):

@@ -144,26 +144,63 @@ def test_tensorboard_drops_the_steps_that_come_again(tmp_path, monkeypatch):
     assert opened == [{"purge_step": 7}]
 
 
-def test_a_bad_configuration_file_is_named(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "from unips_jax.training.config import Config, DataConfig\n"
+            "def get_config():\n    return Config(data=DataConfig(batch_size=0))\n",
+            "batch_size: expected a positive",
+        ),
+        ("import nothing_of_this_name", "line 1: ModuleNotFoundError: No module"),
+        ("x = 1\ndef (:", "line 2: SyntaxError: "),
+        ("\0", "SyntaxError: |ValueError: "),
+        ("def get_config():\n    return 1 / 0", "line 2: ZeroDivisionError: "),
+        ("def get_config(x):\n    return x", "TypeError: "),
+        ("def get_config():\n    return 3", "to return a Config .*, got int"),
+        ("get_config = 3", r"expected a function get_config\(\)"),
+        ("", r"expected a function get_config\(\)"),
+    ],
+)
+def test_a_bad_configuration_file_is_named(tmp_path, text, expected):
     file = tmp_path / "mine.py"
-    file.write_text(
-        "from unips_jax.training.config import Config, DataConfig\n"
-        "def get_config():\n    return Config(data=DataConfig(batch_size=0))\n"
-    )
-    with pytest.raises(InputError, match=r"mine\.py: batch_size: expected a positive"):
-        load_config(str(file))
+    file.write_text(text)
+    with pytest.raises(InputError, match=rf"mine\.py: .*({expected})"):
+        load_config(file)
 
 
 def test_fields_are_listed_without_a_folder(capsys):
     tiny = str(Path(__file__).parents[1] / "configs" / "tiny.py")
     with pytest.raises(SystemExit) as end:
-        main(["--config", tiny, "--fields"])
+        main(["--config", tiny, "--help"])
     assert end.value.code == 0
-    assert "--optim.learning-rate" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "usage: unips train" in shown and "--optim.learning-rate" in shown
+    rate = load_config(tiny).optim.learning_rate
+    assert f"the highest learning rate. (default: {rate})" in shown
     with pytest.raises(SystemExit) as end:
         main(["--config", tiny])
     assert end.value.code == 2
-    assert "required: --workdir" in capsys.readouterr().err
+    assert "--workdir" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "near"),
+    [
+        ("--optim.lr", "--optim.learning-rate"),
+        ("--data.bs", "--data.batch-size"),
+        ("--optim.wd", "--optim.weight-decay"),
+        ("--optim.learning_rat", "--optim.learning-rate"),
+        ("--train.step", "--train.steps"),
+    ],
+)
+def test_an_unknown_field_has_its_nearest_named(tmp_path, capsys, option, near):
+    tiny = str(Path(__file__).parents[1] / "configs" / "tiny.py")
+    run = tmp_path / "run"
+    assert main(["--config", tiny, "--workdir", str(run), option, "3"]) == 2
+    error = capsys.readouterr().err
+    assert f"unips train has no option {option}: perhaps {near}" in error
+    assert not run.exists()
 
 
 def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -101,10 +102,15 @@ def test_all_scenes_of_one_kind(tmp_path, capsys):
     save_weights(weights, CONFIG.model, lively_weights(CONFIG.model))
     sizes = ["--scenes", "3", "--images", "2", "--size", "32"]
     kinds = ["--light", "point", "--material", "dark", "--shape", "relief"]
-    assert command.main(["--weights", weights, *sizes, *kinds]) == 0
+    assert command.main(["--weights", weights, *sizes, *kinds, "--json"]) == 0
     scores = json.loads(capsys.readouterr().out)
     groups = {name for name in scores if "/" in name and "camera" not in name}
     assert groups == {"light/point", "material/dark", "shape/relief"}
+    assert command.main(["--weights", weights, *sizes, *kinds]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(rf"all +\S {scores['mae']:.2f}", shown)
+    assert re.search(rf"light: point +\S {scores['light/point']:.2f}", shown)
+    assert "2 images" in shown and "3 held-out scenes of 32 x 32" in shown
 
 
 @pytest.mark.parametrize(
@@ -113,6 +119,7 @@ def test_all_scenes_of_one_kind(tmp_path, capsys):
         (["--size", "50"], "--size: expected a multiple of 4, got 50"),
         (["--images", "8", "0"], "--images: expected at least 1, got 0"),
         (["--scenes", "0"], "--scenes, --images: expected at least 1, got 0"),
+        (["--images"], "--scenes, --images: expected at least 1, got 0"),
     ],
 )
 def test_bad_arguments_are_named(arguments, expected, capsys):

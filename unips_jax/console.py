@@ -1,15 +1,17 @@
-"""What the commands share: errors that are one line, and progress."""
+"""What the commands share: their options, errors that are one line, and progress."""
 
 import contextlib
+import difflib
 import functools
 import io
 import math
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from unips_jax.errors import InputError
 
@@ -32,8 +34,9 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
 
     Returns:
         A function with the same argument, returning the exit status: 0, 2 after an
-        `InputError`, 130 after an interrupt, 141 where nobody reads the output any
-        more (`unips ... | head`). Other exceptions are bugs and pass.
+        `InputError` or what else is no bug (a full disk, a device that is not there,
+        too little memory), 130 after an interrupt, 141 where nobody reads the output
+        any more (`unips ... | head`). Other exceptions are bugs and pass.
     """
 
     @functools.wraps(main)
@@ -44,9 +47,6 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
         try:
             main(argv)
             sys.stdout.flush()
-        except InputError as error:
-            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-            return 2
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return 130
@@ -54,18 +54,161 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
             # What is still buffered would fail once more when the process ends.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 141
+        except Exception as error:
+            reason = reason_of(error)
+            if reason is None:
+                raise
+            print(f"error: {reason}", file=sys.stderr)
+            return 2
         return 0
 
     return run
+
+
+def reason_of(error: Exception) -> str | None:
+    """One line for an error that is no bug; None for one that is.
+
+    Args:
+        error: what was raised.
+    """
+    text = str(error)
+    if isinstance(error, InputError):
+        pass
+    elif isinstance(error, OSError) and error.strerror:
+        text = error.strerror
+        if error.filename is not None:
+            text = f"{os.fsdecode(error.filename)}: {text}"
+    elif isinstance(error, MemoryError):
+        text = f"out of memory: {text or 'give smaller or fewer images'}"
+    elif type(error) is RuntimeError and "Unable to initialize backend" in text:
+        text = (
+            f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS', '')}: expected a platform "
+            f"that JAX can use here; install its build of JAX or unset it ({text})"
+        )
+    else:
+        return None
+    return " ".join(text.split())
+
+
+def parse(
+    options: type[_T],
+    argv: Sequence[str] | None,
+    *,
+    prog: str,
+    description: str,
+    default: _T | None = None,
+    negatable: bool = False,
+) -> _T:
+    """Parses a command's arguments.
+
+    Args:
+        options: a dataclass; its docstring describes the options.
+        argv: the arguments (None: those of the process).
+        prog: how the command is called.
+        description: shown by --help, above the options.
+        default: values of what is not given.
+        negatable: every --flag has its --no-flag.
+
+    Raises:
+        InputError: for an option that there is not, with those that are nearest.
+        SystemExit: after help, and with status 2 for other bad arguments.
+    """
+    import tyro
+
+    arguments = sys.argv[1:] if argv is None else list(argv)
+    if {"-h", "--help"} & set(arguments):
+        print(f"{description.strip()}\n")  # tyro would make each paragraph one line
+    given: dict[str, Any] = {
+        "prog": prog,
+        "description": "",
+        "config": (tyro.conf.DisallowNone,),
+    }
+    if not negatable:
+        given["config"] += (tyro.conf.FlagCreatePairsOff,)
+    if default is not None:
+        given["default"] = default
+    found, unknown = tyro.cli(
+        options, args=arguments, return_unknown_args=True, **given
+    )
+    if unknown:
+        shown = io.StringIO()
+        with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
+            tyro.cli(options, args=["--help"], **given)
+        known = dict.fromkeys(re.findall(r"--\w[\w.-]*", shown.getvalue()))
+        near = _nearest(unknown[0], list(known))
+        hint = f"perhaps {' or '.join(near)}; " if near else ""
+        what = "has no option" if unknown[0].startswith("-") else "does not expect"
+        raise InputError(f"{prog} {what} {unknown[0]}: {hint}see `{prog} --help`")
+    return found
+
+
+def _nearest(name: str, known: Sequence[str]) -> list[str]:
+    """Options that a name may stand for: by initials, as --optim.lr, or by spelling."""
+    name = name.partition("=")[0].replace("_", "-")
+    *group, last = name.lstrip("-").split(".")
+
+    def initials(option: str) -> bool:
+        *other, field = option.lstrip("-").split(".")
+        short = "".join(word[0] for word in field.split("-") if word)
+        return other == group and short == last
+
+    return [option for option in known if initials(option)] or (
+        difflib.get_close_matches(name, known, n=2)
+    )
+
+
+def one_of(choices: Sequence[str], *, several: bool = False) -> Any:
+    """Annotates an option whose choices are known where it is declared.
+
+    Args:
+        choices: the values.
+        several: it takes one or more of them.
+    """
+    import tyro
+
+    choice: Any = tyro.extras.literal_type_from_choices(choices)
+    kind = tuple[choice, ...] if several else choice
+    return tyro.conf.arg(constructor=kind, help_behavior_hint=_default_if_any)
+
+
+def _default_if_any(default: str) -> str:
+    shown = default.strip("[]'")
+    return "" if shown in ("None", "") else f"(default: {shown})"
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]
+) -> None:
+    """Prints a table.
+
+    Args:
+        title: above it.
+        columns: their names.
+        rows: of as many cells.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    shown = Table(title=title)
+    for column in columns:
+        shown.add_column(column)
+    for row in rows:
+        shown.add_row(*row)
+    width = None if sys.stdout.isatty() else 160
+    Console(width=width, markup=False).print(shown)
 
 
 def keep_compiled() -> None:
     """Keeps compiled functions for later runs, unless the user said where to."""
     import jax
 
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(home / "unips_jax"))
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    home = os.environ.get("XDG_CACHE_HOME")
+    # Without a home folder, of the environment or the user's, nothing is kept.
+    with contextlib.suppress(RuntimeError):
+        place = Path(home) if home else Path.home() / ".cache"
+        jax.config.update("jax_compilation_cache_dir", str(place / "unips_jax"))
 
 
 @contextlib.contextmanager

@@ -1,75 +1,120 @@
-"""Training: `python -m unips_jax.train --config configs/tiny.py --workdir runs/tiny`.
+"""Trains the network: `unips train`, or `python -m unips_jax.train`.
 
-Any field of the configuration can be given too, as in `--optim.learning-rate 3e-4`. The
-same command resumes a run that was stopped or killed, exactly: everything follows from
-the seed and the step, and what does not is in the checkpoint.
+    unips train --config configs/tiny.py --workdir runs/tiny --optim.learning-rate 3e-4
+
+Any field of the configuration can be given; their defaults below are those of the
+--config file, or without one the paper's. The same command resumes a run that was
+stopped or killed, exactly: everything follows from the seed and the step, and what does
+not is in the checkpoint.
 """
 
-import argparse
+import dataclasses
 import runpy
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Any
 
-import jax
 import tyro
 
-from unips_jax.console import command, keep_compiled
+from unips_jax.console import command, keep_compiled, parse
 from unips_jax.errors import InputError
 from unips_jax.training.config import Config
-from unips_jax.training.loop import train
 
 
-def load_config(path: str) -> Config:
+@dataclasses.dataclass(frozen=True)
+class _File:
+    config: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `unips train`.
+
+    Attributes:
+        config: Python file with a function get_config() that returns a Config; it is
+            run.
+        workdir: the run's folder: checkpoints, metrics and weights.
+        init_weights: start a new run from these weights.
+        distributed: join the other processes first.
+        fields: of the configuration.
+    """
+
+    config: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    workdir: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    init_weights: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    distributed: bool = False
+    fields: Annotated[Config, tyro.conf.arg(name="")] = Config()
+
+
+def load_config(path: str | Path) -> Config:
     """Runs a configuration file and returns what its `get_config()` gives.
 
+    Args:
+        path: a Python file.
+
     Raises:
-        InputError: if there is no such file or function, or a field's value is bad.
+        InputError: if there is no such file or function, or it fails.
     """
     if not Path(path).is_file():
-        raise InputError(f"--config {path}: expected a Python file, found nothing")
-    names = runpy.run_path(path)
-    if "get_config" not in names:
+        raise InputError(f"--config {path}: expected a Python file, found none")
+    try:
+        get_config: Any = runpy.run_path(str(path)).get("get_config")
+    except Exception as error:
+        raise InputError(f"--config {path}: {_failure(error)}") from error
+    if not callable(get_config):
         raise InputError(f"--config {path}: expected a function get_config() in it")
     try:
-        return names["get_config"]()
+        config = get_config()
     except ValueError as error:
-        raise InputError(f"--config {path}: {error}") from None
+        raise InputError(f"--config {path}: {error}") from error
+    except Exception as error:
+        raise InputError(f"--config {path}: {_failure(error)}") from error
+    if not isinstance(config, Config):
+        raise InputError(
+            f"--config {path}: expected get_config() to return a Config of "
+            f"unips_jax.training.config, got {type(config).__name__}"
+        )
+    return config
 
 
 @command
 def main(argv: Sequence[str] | None = None) -> None:
-    """`python -m unips_jax.training.loop` and `unips train`."""
-    parser = argparse.ArgumentParser(
+    """`unips train`."""
+    file, _ = tyro.cli(_File, args=argv, return_unknown_args=True, add_help=False)
+    config = Config() if file.config is None else load_config(file.config)
+    missing: Any = tyro.MISSING
+    options = parse(
+        Options,
+        argv,
+        prog="unips train",
         description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        default=Options(missing, missing, fields=config),
+        negatable=True,
     )
-    parser.add_argument("--config", required=True, help="file with get_config()")
-    parser.add_argument("--workdir", type=Path, help="the run's folder")
-    parser.add_argument("--init-weights", help="start a new run from these weights")
-    parser.add_argument(
-        "--fields",
-        action="store_true",
-        help="list the configuration's fields and end",
-    )
-    parser.add_argument(
-        "--distributed", action="store_true", help="join the other processes first"
-    )
-    arguments, overrides = parser.parse_known_args(argv)
-    if arguments.fields:
-        overrides = ["--help"]
-    elif arguments.workdir is None:
-        parser.error("the following arguments are required: --workdir")
-    elif arguments.distributed:
+    import jax
+
+    from unips_jax.training.loop import train
+
+    if options.distributed:
         jax.distributed.initialize()
     keep_compiled()
-    default = load_config(arguments.config)
-    config = tyro.cli(Config, prog="unips train", default=default, args=overrides)
     start = time.monotonic()
-    state = train(config, arguments.workdir, init_weights=arguments.init_weights)
+    state = train(options.fields, options.workdir, init_weights=options.init_weights)
     minutes = (time.monotonic() - start) / 60
-    print(f"step {int(state.step)} after {minutes:.1f} minutes: {arguments.workdir}")
+    print(f"step {int(state.step)} after {minutes:.1f} minutes: {options.workdir}")
+
+
+def _failure(error: Exception) -> str:
+    """What went wrong in the file, and where."""
+    place, line = error.__traceback__, 0
+    while place is not None:
+        line, place = place.tb_lineno, place.tb_next
+    if isinstance(error, SyntaxError):
+        line = error.lineno or 0
+    return f"fails in line {line}: {type(error).__name__}: {error}"
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

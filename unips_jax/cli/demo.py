@@ -1,74 +1,98 @@
-"""`unips demo`: normals of the bundled object, compared with the truth.
+"""Normals of the bundled object by `unips estimate`'s way, compared with the truth.
 
-The object was rendered with Blender Cycles, eight photographs under a lamp and a
-turning environment: `unips render --engine cycles --objects 2 --images 8 --size 192
---samples 64 --denoise --environments blender --lightings mixed --seed 11`.
+OUT receives what `unips estimate` writes, with a map of the errors in sheet.png, and
+truth.png, the same for the true normals. The object was rendered with Blender Cycles,
+eight photographs under a lamp and a turning environment.
 """
 
-import argparse
+# unips render --engine cycles --objects 2 --images 8 --size 192 --samples 64
+#     --denoise --environments blender --lightings mixed --seed 11
+
+import dataclasses
 import importlib.resources
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 
-from unips_jax.console import command, keep_compiled, progress
-from unips_jax.io.normals import (
-    appearing_at_once,
-    check_target,
-    write_normals,
-    write_record,
+from unips_jax.console import command, keep_compiled, parse
+from unips_jax.estimation.folders import (
+    FolderOptions,
+    estimate_selection,
+    load_network,
+    write_estimate,
 )
+from unips_jax.io.photographs import select
 from unips_jax.io.ps_wild import PSWildFolders, read_object
+from unips_jax.io.results import check_target
 from unips_jax.pictures.estimate_sheet import write_sheet
 
 SAMPLE = Path(str(importlib.resources.files("unips_jax"))) / "assets" / "sample"
 SIDE = 192  # of its images, in pixels
 
 
-def _main(argv: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="unips demo", description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("unips_demo"))
-    parser.add_argument("--weights", default="tiny", help="shipped name or file")
-    arguments = parser.parse_args(argv)
-    check_target(arguments.output, SAMPLE)
-    keep_compiled()
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `unips demo`.
 
-    from unips_jax.estimation.streaming import estimate_photographs
-    from unips_jax.metrics import mean_angular_error_deg
-    from unips_jax.weights import load_weights
+    Attributes:
+        output: folder for the results.
+        weights: shipped weights or a .safetensors file.
+    """
 
-    config, params = load_weights(arguments.weights)
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = Path(
+        "unips_demo"
+    )
+    weights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tiny"
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """`unips demo`."""
+    options = parse(Options, argv, prog="unips demo", description=__doc__)
     files = PSWildFolders(SAMPLE, min_images=1)[0]
-    sample = read_object(files, np.arange(len(files.photographs)), SIDE)
-    images, mask, truth = (sample[name] for name in ("images", "mask", "normals"))
-    with progress("estimating normals") as report:
-        normals = estimate_photographs(
-            params, images, mask, config=config, progress=report
+    folder = files.normals.parent
+    check_target(options.output, folder)
+    keep_compiled()
+    from unips_jax.metrics import mean_angular_error_deg
+
+    network = load_network(options.weights)
+    how = FolderOptions()
+    estimate = estimate_selection(select(folder), network, how, verbose=True)
+    truth = read_object(files, np.arange(0), SIDE)["normals"]
+    error, constant = (
+        float(mean_angular_error_deg(normals, truth, estimate.mask))
+        for normals in (estimate.normals, np.array([0.0, 0.0, 1.0]))
+    )
+
+    def write_truth(place: Path) -> None:
+        write_sheet(
+            place / "truth.png",
+            estimate.images,
+            truth,
+            estimate.mask,
+            title="true normals",
+            subtitle="the same object",
+            encoded=False,
         )
-    error = float(mean_angular_error_deg(normals, truth, mask))
-    towards = np.array([0.0, 0.0, 1.0])
-    constant = float(mean_angular_error_deg(towards, truth, mask))
-    scores = f"mean angular error {error:.2f} degrees (constant normal {constant:.2f})"
-    with appearing_at_once(arguments.output) as place:
-        write_normals(place, normals)
-        for name, shown in (("sheet", normals), ("truth", truth)):
-            write_sheet(
-                place / f"{name}.png",
-                images / images.max(axis=(1, 2, 3), keepdims=True),
-                shown,
-                mask,
-                title="estimated" if name == "sheet" else "true normals",
-                subtitle=scores if name == "sheet" else "the same object",
-                encoded=False,
-            )
-        record = {"mae_deg": error, "constant_mae_deg": constant}
-        write_record(place, {**record, "weights": str(arguments.weights)})
-    print(f"{len(images)} photographs, {scores}")
-    print(f"wrote {arguments.output}/: sheet.png, truth.png, normals.png, normals.npy")
 
+    write_estimate(
+        options.output,
+        estimate,
+        how,
+        truth=truth,
+        facts={"mae_deg": error, "constant_mae_deg": constant},
+        more=write_truth,
+        verbose=True,
+    )
+    print(
+        f"{len(estimate.images)} photographs, mean angular error {error:.2f} degrees "
+        f"(constant normal {constant:.2f})"
+    )
 
-main = command(_main)
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

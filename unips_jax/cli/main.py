@@ -1,8 +1,13 @@
-"""The `unips` command: finds the subcommand's module and hands over."""
+"""The `unips` command: finds the subcommand's module and hands over.
 
+Each command has its own module and loads no other's.
+"""
+
+import contextlib
 import importlib
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 # Each command's module and what it does.
 COMMANDS = {
@@ -27,20 +32,51 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = arguments[0] if arguments else "--help"
     if name in COMMANDS:
-        module = importlib.import_module(f"unips_jax.{COMMANDS[name][0]}")
+        with _interrupts_end_at_once():
+            module = importlib.import_module(f"unips_jax.{COMMANDS[name][0]}")
         return module.main(arguments[1:])
-    lines = [f"  {command:10}{text}" for command, (_, text) in COMMANDS.items()]
-    usage = "\n".join(["usage: unips COMMAND [--help] ...", "", *lines])
     if name in ("-h", "--help"):
-        print(usage)
+        print(_usage())
         return 0
     if name == "--version":
         from unips_jax import __version__
 
         print(__version__)
         return 0
-    print(f"error: no command {name!r}\n{usage}", file=sys.stderr)
+    import difflib
+
+    near = difflib.get_close_matches(name, COMMANDS, n=1)
+    hint = f"; perhaps {near[0]}" if near else ""
+    print(f"error: unips has no command {name!r}{hint}\n{_usage()}", file=sys.stderr)
     return 2
+
+
+def _usage() -> str:
+    lines = [f"  {command:10}{text}" for command, (_, text) in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: unips COMMAND [--help] ...",
+            "       unips --version",
+            "",
+            "Surface normals from photographs under unknown light.",
+            "",
+            *lines,
+        ]
+    )
+
+
+@contextlib.contextmanager
+def _interrupts_end_at_once() -> Iterator[None]:
+    """While modules are imported Ctrl-C ends the process, without a traceback."""
+    try:
+        before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    except ValueError:  # not the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 if __name__ == "__main__":

@@ -1,59 +1,84 @@
-"""`unips render`: scenes with known normals, as folders of photographs or a sheet.
+"""Scenes with known normals, as folders of photographs or a sheet.
 
-The folders follow PS-Wild-Test: one per object and lighting, with 16-bit linear
-images `L_*.png`, `mask.png`, and `normal.tif` (n = 2 v / 65535 - 1, x right, y up,
-z to the viewer, background 32768); `meta.json` says what was drawn.
-Under directional light it holds `light_directions` and `light_intensities`, such that a
-Lambertian surface appears as albedo x intensity x max(n . l, 0).
-`--engine cycles` renders with Blender Cycles instead, and has options of its own: see
+The folders follow PS-Wild-Test: one per object and lighting, with 16-bit linear images
+L_*.png, mask.png, and normal.tif (n = 2 v / 65535 - 1, x right, y up, z to the viewer,
+background 32768); meta.json says what was drawn. Under directional light it holds
+light_directions and light_intensities, such that a Lambertian surface appears as
+albedo x intensity x max(n . l, 0). Stop it whenever you like: started again, or several
+times at once, it only does what is left.
+
+With --engine cycles, Blender Cycles renders instead; that has options of its own: see
 `unips render --engine cycles --help`.
 """
 
-import argparse
+import dataclasses
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Literal
 
-from unips_jax.console import command
+import tyro
+
+from unips_jax.console import command, parse
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
 from unips_jax.io.images import check_picture
-from unips_jax.scenes.folders import render_folders, render_sheet
 
 
-def _main(argv: Sequence[str] | None = None) -> None:
-    chooser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    chooser.add_argument("--engine", choices=("jax", "cycles"), default="jax")
-    engine, rest = chooser.parse_known_args(argv)
-    if engine.engine == "cycles":
-        from unips_jax.cycles import command as cycles
+@dataclasses.dataclass(frozen=True)
+class _Engine:
+    engine: Literal["jax", "cycles"] = "jax"
 
-        return cycles.main(rest)
-    parser = argparse.ArgumentParser(
-        prog="unips render",
-        description=__doc__,
-        parents=[chooser],
-        allow_abbrev=False,  # nor does the chooser take an engine's abbreviation
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `unips render`.
+
+    Attributes:
+        output: folder for PS-Wild folders.
+        sheet: picture of 64 random scenes, .png, .jpg or .tif.
+        objects: how many, each under three lightings.
+        images: per folder.
+        size: side of the images in pixels, a multiple of 4.
+        seed: of the scenes.
+        engine: what renders.
+    """
+
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR")] = None
+    sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    objects: int = 6
+    images: int = 8
+    size: int = 128
+    seed: int = 0
+    engine: Literal["jax", "cycles"] = "jax"
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """`unips render`."""
+    engine, rest = tyro.cli(
+        _Engine, args=argv, return_unknown_args=True, add_help=False
     )
-    parser.add_argument("-o", "--output", type=Path, help="folder for PS-Wild folders")
-    parser.add_argument("--sheet", type=Path, help="picture of 64 random scenes")
-    parser.add_argument("--objects", type=int, default=6, help="(6)")
-    parser.add_argument("--images", type=int, default=8, help="per folder (8)")
-    parser.add_argument("--size", type=int, default=128, help="in pixels (128)")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(rest)
+    if engine.engine == "cycles":
+        from unips_jax.cli import render_cycles
+
+        return render_cycles.run(rest)
+    options = parse(Options, argv, prog="unips render", description=__doc__)
     if options.output is None and options.sheet is None:
         raise InputError("expected -o DIR, --sheet OUT.png or both, got neither")
     if options.size <= 0 or options.size % 4:
         raise InputError(f"--size: expected a multiple of 4, got {options.size}")
-    for name in ("objects", "images"):
-        if getattr(options, name) < 1:
-            raise InputError(
-                f"--{name}: expected at least 1, got {getattr(options, name)}"
-            )
+    for name, least in (("objects", 1), ("images", 1), ("seed", 0)):
+        value = getattr(options, name)
+        if value < least:
+            raise InputError(f"--{name}: expected at least {least}, got {value}")
     if options.output is not None:
         make_folder(options.output, "-o")
     if options.sheet is not None:
         check_picture(options.sheet, "--sheet")
+    from unips_jax.scenes.folders import render_folders, render_sheet
+
+    if options.sheet is not None:
         render_sheet(options.sheet, size=options.size, seed=options.seed)
         print(f"wrote {options.sheet}")
     if options.output is not None:
@@ -67,4 +92,5 @@ def _main(argv: Sequence[str] | None = None) -> None:
         print(f"wrote {options.output}")
 
 
-main = command(_main)
+if __name__ == "__main__":
+    sys.exit(main())

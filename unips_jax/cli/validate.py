@@ -1,50 +1,102 @@
-"""`unips validate`: scores of weights on held-out scenes, as JSON."""
+"""Scores of weights on held-out scenes: mean angular errors in degrees.
 
-import argparse
+The scenes come from keys that training never uses. A table has a row for all scenes,
+one for a constant normal towards the viewer, and one for every kind of light, material,
+shape and camera; a column for each number of images.
+"""
+
+import dataclasses
 import json
+import sys
 from collections.abc import Sequence
+from typing import Annotated
 
-from unips_jax.console import command, keep_compiled
+import tyro
+
+from unips_jax.console import command, keep_compiled, one_of, parse, print_table
 from unips_jax.errors import InputError
-from unips_jax.scenes import LIGHT_KINDS, MATERIALS, SHAPE_KINDS, SceneConfig
-from unips_jax.training.validation import validate
-from unips_jax.weights import load_weights
+from unips_jax.scenes.config import LIGHT_KINDS, MATERIALS, SHAPE_KINDS, SceneConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `unips validate`.
+
+    Attributes:
+        weights: shipped weights or a .safetensors file.
+        scenes: how many scenes.
+        images: numbers of images per scene; each is a column.
+        size: side of the images in pixels, a multiple of 4.
+        light: that all scenes have.
+        material: that all scenes have.
+        shape: that all scenes have.
+        json: print a line of JSON for each number of images instead of the table.
+    """
+
+    weights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tiny"
+    scenes: int = 256
+    images: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N ...]")] = (8,)
+    size: int = 128
+    light: Annotated[str | None, one_of(LIGHT_KINDS)] = None
+    material: Annotated[str | None, one_of(MATERIALS)] = None
+    shape: Annotated[str | None, one_of(SHAPE_KINDS)] = None
+    json: bool = False
 
 
 @command
 def main(argv: Sequence[str] | None = None) -> None:
-    """Prints the scores of weights as JSON, a line per number of images."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--weights", default="tiny", help="shipped name or file")
-    parser.add_argument("--scenes", type=int, default=256, help="held-out scenes")
-    parser.add_argument("--images", type=int, nargs="+", default=[8])
-    parser.add_argument("--size", type=int, default=128, help="pixels")
-    kinds = {"light_kind": LIGHT_KINDS, "material": MATERIALS, "shape": SHAPE_KINDS}
-    for name, choices in kinds.items():
-        option = f"--{name.removesuffix('_kind')}"
-        parser.add_argument(option, dest=name, choices=choices, help="of all scenes")
-    arguments = parser.parse_args(argv)
-    if arguments.size <= 0 or arguments.size % 4:
-        raise InputError(f"--size: expected a multiple of 4, got {arguments.size}")
-    least = min(arguments.scenes, *arguments.images)
+    """`unips validate`."""
+    options = parse(Options, argv, prog="unips validate", description=__doc__)
+    if options.size <= 0 or options.size % 4:
+        raise InputError(f"--size: expected a multiple of 4, got {options.size}")
+    least = min(options.scenes, *options.images, 1 if options.images else 0)
     if least < 1:
         raise InputError(f"--scenes, --images: expected at least 1, got {least}")
     keep_compiled()
-    model, params = load_weights(arguments.weights)
-    chosen = {name: getattr(arguments, name) for name in kinds}
-    scene_options = {
-        name: kinds[name].index(kind) for name, kind in chosen.items() if kind
+    from unips_jax.training.validation import validate
+    from unips_jax.weights import load_weights
+
+    model, params = load_weights(options.weights)
+    kinds = {
+        "light_kind": (LIGHT_KINDS, options.light),
+        "material": (MATERIALS, options.material),
+        "shape": (SHAPE_KINDS, options.shape),
     }
-    for num_images in arguments.images:
+    chosen = {name: all_.index(kind) for name, (all_, kind) in kinds.items() if kind}
+    columns: dict[int, dict[str, float]] = {}
+    for num_images in dict.fromkeys(options.images):
         scores = validate(
             params,
             model,
             SceneConfig(),
-            count=arguments.scenes,
+            count=options.scenes,
             num_images=num_images,
-            size=arguments.size,
+            size=options.size,
             description=f"{num_images} images",
-            **scene_options,
+            **chosen,
         )
         rounded = {name: round(score, 2) for name, score in scores.items()}
-        print(json.dumps({"images": num_images, **rounded}))
+        columns[num_images] = rounded
+        if options.json:
+            print(json.dumps({"images": num_images, **rounded}), flush=True)
+    if not options.json:
+        _print(options, columns)
+
+
+def _print(options: Options, columns: dict[int, dict[str, float]]) -> None:
+    groups = [name for name in next(iter(columns.values())) if "/" in name]
+    rows = {"mae": "all", "constant": "constant normal"}
+    rows |= {group: group.replace("/", ": ") for group in groups}
+    print_table(
+        f"mean angular error in degrees, {options.scenes} held-out scenes of "
+        f"{options.size} x {options.size} pixels, weights {options.weights}",
+        ["scenes", *(f"{n} image{'s' * (n > 1)}" for n in columns)],
+        [
+            [shown, *(f"{scores[name]:.2f}" for scores in columns.values())]
+            for name, shown in rows.items()
+        ],
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,16 +1,9 @@
-"""`unips render --engine cycles`: PS-Wild-like sets rendered with Blender Cycles.
+"""Sets like PS-Wild from presets, folders of the user's and a manifest.
 
-Follows the paper (UniPS, CVPR 2022, Sec. 5): one object, one material and one
-environment per scene; rotations redrawn until the normals' entropy exceeds 4 bits; the
-outline reaches the frame; Principled BSDF; path tracing with up to 10 bounces and 256
-samples, no tone mapping; 16-bit linear images. Stop it whenever you like: started
-again, or several times at once, it only does what is left. The meshes, materials,
-environments and manifest of a set must stay the same.
+`cli.render_cycles` says what the options mean.
 """
 
-import argparse
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +11,6 @@ import numpy as np
 
 from unips_jax.cycles import assets
 from unips_jax.cycles.blender_process import Blender, find_python
-from unips_jax.cycles.lighting import LIGHTINGS
 from unips_jax.cycles.run import Settings, render_set
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
@@ -40,32 +32,6 @@ PRESETS: dict[str, dict[str, Any]] = {
 _ENVIRONMENTS = frozenset((".hdr", ".exr"))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="unips render --engine cycles",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add = parser.add_argument
-    add("-o", "--output", type=Path, required=True, help="the set's folder")
-    add("--preset", choices=sorted(PRESETS), default="test", help="(test)")
-    add("--objects", type=int, help="(6, or all of the manifest)")
-    add("--images", type=int, help="per object and lighting (of the preset)")
-    add("--lightings", nargs="+", choices=LIGHTINGS, help="(all but near)")
-    add("--size", type=int, help="in pixels (512)")
-    add("--samples", type=int, help="paths per pixel (256)")
-    add("--denoise", action=argparse.BooleanOptionalAction, help="(no)")
-    add("--perspective", type=float, help="share of such cameras (0.5)")
-    add("--seed", type=int, help="(0)")
-    add("--meshes", type=Path, help=f"folder of {' '.join(sorted(assets.MESHES))}")
-    add("--materials", type=Path, help="folder of texture sets, one folder each")
-    add("--environments", help="folder of .hdr and .exr, or 'blender' for its own")
-    add("--manifest", type=Path, help="CSV: object, material, category[, lighting]")
-    add("--threads", type=int, default=0, help="of the renderer (all cores)")
-    add("--sheet", type=Path, help="also a picture of the whole set")
-    return parser
-
-
 def _sizes(option: str, folder: Path, found: list[Path]) -> dict[str, int]:
     """What tells the files of a folder from others, without reading them."""
     return {
@@ -74,18 +40,24 @@ def _sizes(option: str, folder: Path, found: list[Path]) -> dict[str, int]:
     }
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Parses the command line and renders.
+def render(
+    output: Path, *, preset: str = "test", sheet: Path | None = None, **given: Any
+) -> None:
+    """Renders a set.
+
+    Args:
+        output: the set's folder.
+        preset: one of `PRESETS`.
+        sheet: also a picture of the whole set.
+        **given: see `cli.render_cycles.Options`; None is the preset's.
 
     Raises:
         InputError: for bad input, and if objects had to be left out.
     """
-    given = vars(_parser().parse_args(argv))
-    out, sheet = given.pop("output"), given.pop("sheet")
     if sheet is not None:
         check_picture(sheet, "--sheet")
-    preset = PRESETS[given.pop("preset")]
-    chosen: dict[str, Any] = {"objects": 6, "seed": 0, "environments": None, **preset}
+    chosen: dict[str, Any] = {"objects": 6, "seed": 0, "environments": None}
+    chosen |= PRESETS[preset]
     chosen |= {name: value for name, value in given.items() if value is not None}
     least = {"objects": 1, "images": 1, "size": 1, "samples": 1, "seed": 0}
     for name, value in least.items():
@@ -113,27 +85,27 @@ def main(argv: Sequence[str] | None = None) -> None:
         jobs = assets.drawn_jobs(count, chosen["seed"], meshes, materials)
     else:
         jobs = assets.manifest_jobs(manifest, chosen["seed"], meshes, materials)
-        jobs = jobs[: given["objects"]]
+        jobs = jobs[: given.get("objects")]
         files["--manifest"] = zlib.crc32(manifest.read_bytes())
     if "lightings" in chosen:
         chosen["lightings"] = tuple(chosen["lightings"])
-    make_folder(out, "-o")
+    make_folder(output, "-o")
     with Blender(find_python(), threads=chosen.pop("threads")) as blender:
         if around is None:
             chosen["environments"] = ()
         if around == "blender":
             chosen["environments"] = tuple(blender.ask("environments"))
-        failed = render_set(blender, jobs, Settings(**chosen, files=files), out)
-    if sheet is not None and any(out.glob("*/*.data")):
-        write_image(sheet, contact_sheet(out))
+        failed = render_set(blender, jobs, Settings(**chosen, files=files), output)
+    if sheet is not None and any(output.glob("*/*.data")):
+        write_image(sheet, contact_sheet(output))
         print(f"wrote {sheet}")
     if failed:
         raise InputError(
             f"{len(failed)} of {len(jobs)} objects could not be rendered, or not under "
-            f"every lighting ({', '.join(failed[:5])}): see {out / 'failures'}; the "
+            f"every lighting ({', '.join(failed[:5])}): see {output / 'failures'}; the "
             "others are complete"
         )
-    print(f"wrote {out}")
+    print(f"wrote {output}")
 
 
 def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Normals as pixels, and on disk: all files of a folder at once, or none.
+"""Normals as pixels, and on disk.
 
 Arrays (`.npy`, `.mat`) hold unit normals, x right, y up, z towards the viewer, 0 on
 the background. Normal maps are images of integers, `(n + 1) / 2` of full scale rounded
@@ -8,14 +8,8 @@ channels, is read as 0. DirectX maps have y, the green channel, flipped; OpenGL 
 not.
 """
 
-import contextlib
-import json
-import os
-import shutil
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -24,10 +18,6 @@ from unips_jax.io.images import ImageFile, read_image_file, require_finite, writ
 
 NormalMap = Literal["opengl", "directx"]
 
-RECORD = "normals.json"
-_RESULTS = frozenset(
-    ("normals.png", "normals.npy", "normals.exr", "normals.mat", "sheet.png", RECORD)
-)
 _FULL = 65535
 
 
@@ -142,91 +132,3 @@ def flip_green(normals: np.ndarray) -> np.ndarray:
         normals: `[..., 3]`.
     """
     return normals * np.array([1, -1, 1], normals.dtype)
-
-
-def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
-    """Writes `normals.json`: how these normals came about, and the list of files.
-
-    Args:
-        folder: where; the other files are there already.
-        record: JSON values.
-
-    Returns:
-        The names of all files of the folder.
-    """
-    names = sorted([*(file.name for file in folder.iterdir()), RECORD])
-    text = json.dumps({**record, "files": names}, indent=2, ensure_ascii=False)
-    # Names that are not Unicode become JSON's escapes.
-    data = (text + "\n").encode(errors="backslashreplace")
-    (folder / RECORD).write_bytes(data)
-    return names
-
-
-def check_target(target: Path, source: Path) -> None:
-    """Refuses to write where something that is not ours would be overwritten.
-
-    Args:
-        target: folder for the results; need not exist.
-        source: folder of the photographs.
-
-    Raises:
-        InputError: if the target is the source, a file, or a folder with files that
-            this program did not write.
-    """
-    if target.resolve() == source.resolve():
-        raise InputError(
-            f"{target}: expected another place for the results than the photographs' "
-            "own folder; choose another -o"
-        )
-    if target.exists() and not target.is_dir():
-        raise InputError(
-            f"{target}: expected a folder for the results, got a file; choose another "
-            "-o"
-        )
-    if target.is_dir() and any(target.iterdir()) and not (target / RECORD).is_file():
-        raise InputError(
-            f"{target}: expected a new folder or one with earlier results "
-            f"({RECORD}), got one with other files; choose another -o"
-        )
-    place = next(p for p in (target, *target.absolute().parents) if p.exists())
-    if not (place.is_dir() and os.access(place, os.W_OK)):
-        raise InputError(
-            f"{target}: cannot be written, {place} is a file or may not be written to; "
-            "choose another -o"
-        )
-
-
-@contextlib.contextmanager
-def appearing_at_once(target: Path) -> Iterator[Path]:
-    """Gives a temporary folder whose files appear in `target` when all are written.
-
-    A new target appears by one rename. In a target with earlier results each file is
-    replaced, the record last, and earlier results that were not written again go. If
-    anything fails before, the target stays as it was.
-
-    Args:
-        target: the folder of the results.
-
-    Raises:
-        InputError: if the file system refuses.
-    """
-    temporary = target
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        prefix, suffix = f".{target.name}.", ".partial"
-        temporary = Path(tempfile.mkdtemp(suffix, prefix, target.parent))
-        temporary.chmod(0o755)
-        yield temporary
-        if not target.exists():
-            temporary.rename(target)
-            return
-        written = sorted(temporary.iterdir(), key=lambda file: file.name == RECORD)
-        for file in written:
-            file.replace(target / file.name)
-        for name in _RESULTS - {file.name for file in written}:
-            (target / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error}") from None
-    finally:
-        if temporary != target:
-            shutil.rmtree(temporary, ignore_errors=True)

@@ -1,5 +1,8 @@
 """What one estimate was made from: kept beside the normals, and printed."""
 
+import datetime
+import importlib.metadata
+import platform
 import sys
 import textwrap
 from typing import Any
@@ -7,51 +10,107 @@ from typing import Any
 import numpy as np
 
 from unips_jax import __version__
+from unips_jax.io.color import Transfer
 from unips_jax.io.photographs import Selection
+from unips_jax.io.results import file_hash
 
 _UNTRAINED = "RANDOM WEIGHTS: an untrained network, these normals mean nothing"
+_VERSIONS_OF = ("jax", "flax", "numpy", "opencv-python-headless")
 
 
-def make_record(
-    selection: Selection,
-    images: np.ndarray,
-    mask: np.ndarray,
-    weights: dict[str, Any],
-    options: dict[str, Any],
-    warnings: list[str],
+def input_record(
+    selection: Selection, weights: dict[str, Any], options: dict[str, Any], code: str
 ) -> dict[str, Any]:
-    """The content of `normals.json`, less its list of files.
+    """What the normals follow from, known before anything is computed.
 
     Args:
         selection: the photographs used and left out.
-        images: `[N, H, W, 3]`, as the network is given them.
-        mask: `[H, W]`, bool.
         weights: name, hash and whether they were trained.
-        options: what the user chose, or was chosen for them.
-        warnings: about the capture.
+        options: what the user chose.
+        code: the hash of the code.
+
+    Raises:
+        InputError: if a file cannot be read.
     """
-    mask_file = selection.mask_file
+    mask = selection.mask_file
     return {
         "unips_jax": __version__,
+        "code": code,
         "weights": weights,
         "folder": str(selection.folder),
-        "images": list(selection.names),
+        "images": {file.name: file_hash(file) for file in selection.files},
         "left_out": selection.left_out,
-        "mask": None if mask_file is None else str(mask_file),
+        "mask": None if mask is None else str(mask),
+        "mask_hash": None if mask is None else file_hash(mask),
+        "options": options,
+    }
+
+
+def same_inputs(record: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two estimates' normals are the same: places and names do not matter.
+
+    Args:
+        record: from `input_record`, or of a folder of results.
+        other: likewise.
+    """
+
+    def essence(record: dict[str, Any]) -> list[Any]:
+        names = ("unips_jax", "code", "mask_hash", "options")
+        weights, images = record.get("weights"), record.get("images")
+        return [
+            weights.get("hash") if isinstance(weights, dict) else None,
+            list(images.items()) if isinstance(images, dict) else None,
+            *(record.get(name) for name in names),
+        ]
+
+    return essence(record) == essence(other)
+
+
+def complete_record(
+    inputs: dict[str, Any],
+    images: np.ndarray,
+    mask: np.ndarray,
+    transfer: Transfer,
+    warnings: list[str],
+) -> dict[str, Any]:
+    """The content of `normals.json`, less the files' hashes.
+
+    Args:
+        inputs: from `input_record`.
+        images: `[N, H, W, 3]`, as the network is given them.
+        mask: `[H, W]`, bool.
+        transfer: how the images encode light.
+        warnings: about the capture.
+    """
+    now = datetime.datetime.now(datetime.UTC)
+    return {
+        **inputs,
+        "date": now.isoformat(timespec="seconds"),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: _version(name) for name in _VERSIONS_OF},
+        },
         "mask_pixels": int(mask.sum()),
         "width": mask.shape[1],
         "height": mask.shape[0],
         "dtype": str(images.dtype),
-        "options": options,
+        "transfer": transfer,
         "warnings": warnings,
     }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def summary(record: dict[str, Any]) -> str:
     """One line for the contact sheet.
 
     Args:
-        record: from `make_record`.
+        record: from `complete_record`.
     """
     weights = record["weights"]
     name = f"weights {weights['name']}" if weights["trained"] else _UNTRAINED
@@ -75,7 +134,7 @@ def print_record(record: dict[str, Any]) -> None:
     """Prints what else the estimate depends on.
 
     Args:
-        record: from `make_record`.
+        record: from `complete_record`.
     """
     options, weights = record["options"], record["weights"]
     size = f"{record['width']} x {record['height']}"
@@ -86,7 +145,7 @@ def print_record(record: dict[str, Any]) -> None:
     else:
         print_line(
             "transfer",
-            f"{options['transfer']} ({record['dtype']} pixels; "
+            f"{record['transfer']} ({record['dtype']} pixels; "
             "--transfer linear or srgb overrules)",
         )
     print_line("weights", f"{weights['name']} (hash {weights['hash'][:8]})")

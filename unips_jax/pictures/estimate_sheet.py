@@ -2,7 +2,7 @@
 
 Left: photographs. Middle: the normals in OpenGL colours. Right: the shape under eight
 lights, each tile lying on the side its light comes from; in their midst a sphere, the
-key to the normals' colours.
+key to the normals' colours. Where the true normals are known, a map of the errors.
 """
 
 import warnings
@@ -24,6 +24,8 @@ _HEADER = 84
 _BACKGROUND = (22, 24, 29)
 _LIGHT_ELEVATION_DEG = 40.0
 _AMBIENT = 0.03
+_ERROR_LIMIT_DEG = 30.0
+_BAR = 20  # height of the key to the errors' colours
 
 
 def write_sheet(
@@ -35,6 +37,7 @@ def write_sheet(
     title: str,
     subtitle: str,
     encoded: bool,
+    truth: np.ndarray | None = None,
 ) -> None:
     """Writes the sheet as an image file.
 
@@ -46,6 +49,8 @@ def write_sheet(
         title: first line.
         subtitle: second line.
         encoded: the images are sRGB encoded already, so shown as they are.
+        truth: `[H, W, 3]`, true normals, unit length inside the mask: adds a map of the
+            errors.
     """
     view = _view(mask)
     small_mask = _fit(mask[view].astype(np.float32)[..., None])
@@ -64,6 +69,13 @@ def write_sheet(
         "normals (red: right, green: up, blue: towards the viewer)",
         "the shape under a light from each side; colour key",
     ]
+    if truth is not None:
+        errors = _errors_deg(normals, truth)[view]
+        blocks.append(_error_block(errors, mask[view]))
+        labels.append(
+            f"errors, 0 (black) to {_ERROR_LIMIT_DEG:.0f} degrees and more (yellow); "
+            f"mean {errors[mask[view]].mean():.2f} degrees"
+        )
     _save(file, _canvas(blocks), lines, labels)
 
 
@@ -155,6 +167,25 @@ def _colour_key() -> np.ndarray:
     coverage = np.clip((1 - np.sqrt(squared)) * 0.31 * _TILE + 0.5, 0, 1)
     normals = _normalized(np.stack([x, y, z], axis=-1))
     return _over_background((normals + 1) / 2, coverage[..., None])
+
+
+def _errors_deg(normals: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    cross = np.linalg.norm(np.cross(normals, truth), axis=-1)
+    return np.rad2deg(np.arctan2(cross, np.sum(normals * truth, axis=-1)))
+
+
+def _error_block(errors: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Errors as colours, above a bar from 0 to the limit."""
+    import matplotlib
+
+    colours = matplotlib.colormaps["inferno"]
+    share = _fit(np.where(mask, errors, 0)[..., None] / _ERROR_LIMIT_DEG, _BLOCK)
+    coverage = _fit(mask.astype(np.float32)[..., None], _BLOCK)
+    share = np.clip(share / np.maximum(coverage, 1e-6), 0, 1)[..., 0]
+    block = _over_background(colours(share)[..., :3], coverage)
+    bar = colours(np.linspace(0, 1, _BLOCK))[None, :, :3]
+    block[-_BAR:] = _over_background(bar, np.ones((_BAR, _BLOCK, 1)))
+    return block
 
 
 def _over_background(colours: np.ndarray, coverage: np.ndarray) -> np.ndarray:

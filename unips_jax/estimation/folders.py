@@ -1,0 +1,349 @@
+"""Folders of photographs to folders of results: read, advise, estimate, write.
+
+Transfer function: 8-bit files are taken as sRGB encoded, since cameras, phones and
+programs write them so; 16-bit and float files as linear, since raw converters for
+measurement, data sets and renderers write those so. `FolderOptions.transfer` overrules
+it.
+"""
+
+import dataclasses
+import functools
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from unips_jax.config import ModelConfig
+from unips_jax.console import progress, track
+from unips_jax.errors import InputError
+from unips_jax.io.advice import capture_warnings
+from unips_jax.io.color import Transfer
+from unips_jax.io.normals import NormalMap, write_normals
+from unips_jax.io.official import read_official
+from unips_jax.io.photographs import Selection, read_photographs, select
+from unips_jax.io.record import (
+    complete_record,
+    input_record,
+    print_line,
+    print_record,
+    print_selection,
+    same_inputs,
+    summary,
+)
+from unips_jax.io.results import (
+    appearing_at_once,
+    check_target,
+    clear_leftovers,
+    read_record,
+    write_record,
+)
+from unips_jax.pictures.estimate_sheet import write_sheet
+from unips_jax.provenance import code_hash
+
+# What the results follow from, beside photographs, weights and options.
+_CODE = (
+    "estimation.streaming",
+    "io.photographs",
+    "io.official",
+    "io.normals",
+    "pictures.estimate_sheet",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class FolderOptions:
+    """How photographs are read, and what is written.
+
+    Attributes:
+        mask: an image that is bright on the object, in place of the folder's mask.
+        max_images: use so many of the photographs, drawn with the seed.
+        seed: of that draw.
+        transfer: how the photographs encode light (auto: 8 bit is srgb, the rest
+            linear).
+        reader: official: the authors' square crop and resize, and all files linear;
+            the results have that size.
+        size: side in pixels that the official reader resizes to; 512 if not given.
+        exr: also write normals.exr.
+        mat: also write normals.mat, for MATLAB, key Normal_est.
+        normal_map: green of PNG and EXR is up (opengl) or down (directx).
+    """
+
+    mask: Path | None = None
+    max_images: int | None = None
+    seed: int = 0
+    transfer: Literal["auto", "linear", "srgb"] = "auto"
+    reader: Literal["plain", "official"] = "plain"
+    size: int | None = None
+    exr: bool = False
+    mat: bool = False
+    normal_map: NormalMap = "opengl"
+
+    def check(self) -> None:
+        """Checks what the types do not.
+
+        Raises:
+            InputError: naming the option.
+        """
+        for name, least in (("max_images", 1), ("seed", 0), ("size", 1)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                option = name.replace("_", "-")
+                raise InputError(f"--{option}: expected {least} or more, got {value}")
+        if self.reader == "official" and self.transfer == "srgb":
+            raise InputError(
+                "--transfer srgb: the authors' reader takes every file as linear; "
+                "leave out --reader official"
+            )
+        if self.reader != "official" and self.size is not None:
+            raise InputError(
+                f"--size {self.size}: results have the photographs' size; leave it "
+                "out, or add --reader official"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Network:
+    """A network, and what the record says of it.
+
+    Attributes:
+        config: its configuration.
+        params: its parameters.
+        record: their name, hash and whether they are trained.
+    """
+
+    config: ModelConfig
+    params: Any
+    record: dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Normals, what they were estimated from, and how.
+
+    Attributes:
+        images: `[N, H, W, 3]`, as the network was given them.
+        mask: `[H, W]`, bool.
+        transfer: how the images encode light.
+        normals: `[H, W, 3]`, float32, unit length inside the mask, zero outside.
+        record: the content of `normals.json`, less the files' hashes.
+    """
+
+    images: np.ndarray
+    mask: np.ndarray
+    transfer: Transfer
+    normals: np.ndarray
+    record: dict[str, Any]
+
+
+def load_network(source: str = "tiny") -> Network:
+    """Loads weights.
+
+    Args:
+        source: the name of shipped weights, or a safetensors file.
+
+    Raises:
+        InputError: see `load_weights`.
+    """
+    from unips_jax import weights
+
+    config, params = weights.load_weights(source)
+    return _network(config, params, source, trained=True)
+
+
+def random_network(seed: int = 0) -> Network:
+    """An untrained network of the paper's size, for tests.
+
+    Args:
+        seed: of its parameters.
+    """
+    from unips_jax import weights
+
+    config = ModelConfig()
+    params = weights.random_weights(config, seed=seed)
+    return _network(config, params, f"random, seed {seed}", trained=False)
+
+
+def estimate_folder(
+    folder: Path,
+    target: Path,
+    network: Network,
+    options: FolderOptions | None = None,
+    *,
+    overwrite: bool = False,
+    verbose: bool = False,
+) -> dict[str, Any]:
+    """Estimates the normals of a folder of photographs, and writes them.
+
+    Args:
+        folder: of photographs.
+        target: folder for the results: `normals.png` (16 bit), `normals.npy`,
+            `sheet.png` (a picture to judge the result by) and `normals.json` (how it
+            came about). All of these appear, or none.
+        network: from `load_network`.
+        options: how to read and what to write.
+        overwrite: estimate anew even if the target holds what the same photographs,
+            mask, weights, options and code gave.
+        verbose: say on standard output what is done; warnings about the photographs
+            and progress go to standard error.
+
+    Returns:
+        What `normals.json` holds; its "warnings" are about the photographs.
+
+    Raises:
+        InputError: if something cannot be read, used or written.
+    """
+    options = options or FolderOptions()
+    options.check()
+    check_target(target, folder)
+    clear_leftovers(target.parent)
+    earlier = None if overwrite else read_record(target)
+    selection = _select(folder, options)
+    if earlier is not None:
+        made_from = _input_record(selection, network, options)
+        if same_inputs(earlier, made_from):
+            if verbose:
+                print(f"{folder}: {target} is up to date; --overwrite makes it anew")
+            return earlier
+    estimate = estimate_selection(selection, network, options, verbose=verbose)
+    return write_estimate(target, estimate, options, verbose=verbose)
+
+
+def estimate_selection(
+    selection: Selection,
+    network: Network,
+    options: FolderOptions,
+    *,
+    verbose: bool = False,
+) -> Estimate:
+    """Reads photographs, looks for what is wrong with them, and estimates normals.
+
+    Args:
+        selection: which photographs.
+        network: from `load_network`.
+        options: how to read them.
+        verbose: see `estimate_folder`.
+
+    Raises:
+        InputError: if a file cannot be read or used.
+    """
+    from unips_jax.estimation.streaming import estimate_photographs
+
+    if verbose:
+        print_selection(selection)
+    images, mask, transfer = _read(selection, options, verbose=verbose)
+    warnings = capture_warnings(images, mask, selection.names)
+    record = complete_record(
+        _input_record(selection, network, options), images, mask, transfer, warnings
+    )
+    if verbose:
+        print_record(record)
+        for warning in warnings:
+            print(f"warning: {selection.folder}: {warning}", file=sys.stderr)
+    estimate = functools.partial(
+        estimate_photographs,
+        network.params,
+        images,
+        mask,
+        config=network.config,
+        transfer=transfer,
+        frame="image" if options.reader == "official" else "mask",
+    )
+    if verbose:
+        with progress("estimating normals") as report:
+            normals = estimate(progress=report)
+    else:
+        normals = estimate()
+    return Estimate(images, mask, transfer, normals, record)
+
+
+def write_estimate(
+    target: Path,
+    estimate: Estimate,
+    options: FolderOptions,
+    *,
+    truth: np.ndarray | None = None,
+    facts: dict[str, Any] | None = None,
+    more: Callable[[Path], None] | None = None,
+    verbose: bool = False,
+) -> dict[str, Any]:
+    """Writes normals, their sheet and their record; all files appear, or none.
+
+    Args:
+        target: folder for the results.
+        estimate: what to write.
+        options: which files, and the maps' convention.
+        truth: `[H, W, 3]`, the true normals: the sheet shows the errors.
+        facts: more of the record.
+        more: writes further files into the folder it is given.
+        verbose: print what was written.
+
+    Returns:
+        What `normals.json` holds, less the files' hashes.
+
+    Raises:
+        InputError: if the file system refuses.
+    """
+    record = {**estimate.record, **(facts or {})}
+    with appearing_at_once(target) as place:
+        write_normals(
+            place,
+            estimate.normals,
+            exr=options.exr,
+            mat=options.mat,
+            normal_map=options.normal_map,
+        )
+        write_sheet(
+            place / "sheet.png",
+            estimate.images,
+            estimate.normals,
+            estimate.mask,
+            title=target.name,
+            subtitle=summary(record),
+            encoded=estimate.transfer == "srgb",
+            truth=truth,
+        )
+        if more is not None:
+            more(place)
+        names = write_record(place, record)
+    if verbose:
+        print_line("wrote", f"{target}/: {', '.join(names)}")
+    return record
+
+
+def _network(config: ModelConfig, params: Any, name: str, *, trained: bool) -> Network:
+    from unips_jax.weights import params_hash
+
+    digest = params_hash(config, params)
+    return Network(config, params, {"name": name, "hash": digest, "trained": trained})
+
+
+def _select(folder: Path, options: FolderOptions) -> Selection:
+    return select(
+        folder,
+        mask_file=options.mask,
+        max_images=options.max_images,
+        seed=options.seed,
+    )
+
+
+def _read(
+    selection: Selection, options: FolderOptions, *, verbose: bool
+) -> tuple[np.ndarray, np.ndarray, Transfer]:
+    if options.reader == "official":
+        images, mask, _ = read_official(selection, size=options.size or 512)
+        return images, mask, "linear"
+    tracked: Any = functools.partial(track, description="reading photographs")
+    read = read_photographs(selection, track=tracked if verbose else iter)
+    transfer = read.transfer if options.transfer == "auto" else options.transfer
+    return read.images, read.mask, transfer
+
+
+def _input_record(
+    selection: Selection, network: Network, options: FolderOptions
+) -> dict[str, Any]:
+    # Where the mask lies is no matter: its contents are told apart by their hash.
+    chosen = dataclasses.asdict(dataclasses.replace(options, mask=None))
+    del chosen["mask"]
+    return input_record(selection, network.record, chosen, code_hash(*_CODE))

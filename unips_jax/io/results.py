@@ -1,0 +1,262 @@
+"""Folders of results: all files appear at once, and a later run knows them again.
+
+`normals.json`, the record, holds the hash of every other file, so that results that
+were changed or damaged since are told from whole ones.
+"""
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from unips_jax.errors import InputError
+
+RECORD = "normals.json"
+_RESULTS = frozenset(
+    ("normals.png", "normals.npy", "normals.exr", "normals.mat", "sheet.png", RECORD)
+)
+# Names that say nothing of the results': those may be as long as names can be.
+_WORK = ".unips-"
+_BEFORE = "before-"
+
+
+def file_hash(file: Path) -> str:
+    """SHA-256 of a file's contents, as `sha256sum` prints it.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    try:
+        with file.open("rb") as opened:
+            return hashlib.file_digest(opened, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror}") from None
+
+
+def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
+    """Writes `normals.json`: how these normals came about, and the files' hashes.
+
+    Args:
+        folder: where; the other files are there already.
+        record: JSON values.
+
+    Returns:
+        The names of all files of the folder.
+    """
+    hashes = {file.name: file_hash(file) for file in sorted(folder.iterdir())}
+    text = json.dumps({**record, "files": hashes}, indent=2, ensure_ascii=False)
+    # Names that are not Unicode become JSON's escapes.
+    data = (text + "\n").encode(errors="backslashreplace")
+    (folder / RECORD).write_bytes(data)
+    return sorted([*hashes, RECORD])
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """The record of a folder of results; None unless all files are as written.
+
+    Args:
+        folder: need not exist.
+    """
+    try:
+        record = json.loads((folder / RECORD).read_bytes())
+        whole = all(
+            file_hash(folder / name) == value for name, value in record["files"].items()
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+    return record if whole else None
+
+
+def check_target(target: Path, source: Path) -> None:
+    """Refuses what cannot become a folder of results, before there are any.
+
+    Args:
+        target: folder for the results; need not exist.
+        source: folder of the photographs.
+
+    Raises:
+        InputError: if the target is the source, a file, a folder with files that this
+            program did not write, or where nothing may be written.
+    """
+    try:
+        _check_target(target, source)
+    except OSError as error:
+        raise InputError(
+            f"{_shortened(target)}: cannot become a folder of results: "
+            f"{error.strerror}; choose another -o"
+        ) from None
+
+
+def clear_leftovers(parent: Path) -> None:
+    """Removes what killed processes left; results they had set aside come back.
+
+    Args:
+        parent: of folders of results; need not exist.
+    """
+    if not parent.is_dir():
+        return
+    with _locked(parent, wait=True):
+        for work in parent.glob(f"{_WORK}*"):
+            with _locked(work) as nobodys:
+                if nobodys:
+                    _dissolve(work)
+
+
+@contextlib.contextmanager
+def appearing_at_once(target: Path) -> Iterator[Path]:
+    """Gives a temporary folder that becomes `target` when all is written.
+
+    An earlier folder of results is set aside and the new one put in its place, by two
+    renames. Files in it that are not ours are kept. If anything fails, the target
+    stays as it was. A process that is killed before the first rename leaves the earlier
+    results, after the second the new ones; between them, none, until
+    `clear_leftovers` brings the earlier ones back.
+
+    Args:
+        target: the folder of the results.
+
+    Raises:
+        InputError: if the file system refuses.
+    """
+    place = Path(os.path.realpath(target))
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        clear_leftovers(place.parent)
+        with _workspace(place.parent) as work:
+            new = work / "new"
+            new.mkdir()
+            yield new
+            if place.is_dir():
+                _carry_over(place, new)
+            _switch(place, new, work)
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(
+            f"{target}: cannot be written: {reason}; free space there, or choose "
+            "another -o"
+        ) from None
+
+
+def _check_target(target: Path, source: Path) -> None:
+    place = Path(os.path.realpath(target))
+    if place == Path(os.path.realpath(source)):
+        raise InputError(
+            f"{target}: expected another place for the results than the photographs' "
+            "own folder; choose another -o"
+        )
+    there = place.exists() or place.is_symlink()  # a link to itself does not exist
+    if there and not place.is_dir():
+        raise InputError(
+            f"{target}: expected a folder for the results, got a file; choose another "
+            "-o"
+        )
+    if there and any(place.iterdir()) and not (place / RECORD).is_file():
+        raise InputError(
+            f"{target}: expected a new folder or one with earlier results "
+            f"({RECORD}), got one with other files; choose another -o"
+        )
+    above = next(p for p in place.parents if p.exists() or p.is_symlink())
+    for needed in (above, place) if there else (above,):
+        if not (needed.is_dir() and os.access(needed, os.W_OK)):
+            raise InputError(
+                f"{_shortened(target)}: cannot be written, {needed} is a file or may "
+                "not be written to; choose another -o"
+            )
+    if os.path.ismount(place):
+        raise InputError(
+            f"{target}: expected a folder that can be replaced, got one that is "
+            "mounted; choose a folder in it as -o"
+        )
+
+
+def _shortened(path: Path) -> str:
+    text = str(path)
+    return text if len(text) < 400 else f"{text[:200]}...{text[-100:]}"
+
+
+@contextlib.contextmanager
+def _workspace(parent: Path) -> Iterator[Path]:
+    """A folder that nobody clears while this process lives."""
+    with contextlib.ExitStack() as held:
+        with _locked(parent, wait=True):  # nobody clears it before it is locked
+            work = Path(tempfile.mkdtemp(prefix=_WORK, dir=parent))
+            held.enter_context(_locked(work))
+        try:
+            work.chmod(0o755)
+            yield work
+        finally:
+            _dissolve(work)
+
+
+def _carry_over(place: Path, new: Path) -> None:
+    """Takes the user's files along, as further names of the same files."""
+    ours = {*_RESULTS} | {file.name for file in new.iterdir()}
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        ours |= set(json.loads((place / RECORD).read_bytes())["files"])
+
+    def left(folder: str, names: list[str]) -> set[str]:
+        return ours & set(names) if Path(folder) == place else set()
+
+    shutil.copytree(
+        place, new, symlinks=True, ignore=left, copy_function=_link, dirs_exist_ok=True
+    )
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target, follow_symlinks=False)
+    except OSError:  # not every file system has links
+        shutil.copy2(source, target, follow_symlinks=False)
+
+
+def _switch(place: Path, new: Path, work: Path) -> None:
+    while True:
+        try:
+            new.rename(place)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+        aside = Path(tempfile.mkdtemp(prefix=_BEFORE, dir=work))
+        with contextlib.suppress(FileNotFoundError):  # another process was faster
+            place.rename(aside / place.name)
+
+
+def _dissolve(work: Path) -> None:
+    """Removes a workspace; what was set aside comes back where nothing replaced it."""
+    with contextlib.suppress(OSError):
+        for before in work.glob(f"{_BEFORE}*/*"):
+            if not (work.parent / before.name).exists():
+                before.rename(work.parent / before.name)
+        shutil.rmtree(work, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path, *, wait: bool = False) -> Iterator[bool]:
+    """Holds a folder's `flock`, until the block or the process ends.
+
+    Yields:
+        Whether it is held: not if another process has it, or the system or the file
+        system has no such locks.
+    """
+    try:
+        import fcntl  # not on Windows
+    except ImportError:
+        yield False
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            held = True
+        except OSError:
+            held = False
+        yield held
+    finally:
+        os.close(handle)
