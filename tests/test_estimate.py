@@ -24,9 +24,10 @@ def network_calls(monkeypatch):
     """Replaces the network: normals lean with the place in the image."""
     calls = []
 
-    def stand_in(params, images, mask, *, progress, **options):
+    def stand_in(params, images, mask, *, progress=None, **options):
         calls.append({"images": images, "mask": mask, **options})
-        progress(1, 1)
+        if progress is not None:
+            progress(1, 1)
         y, x = np.mgrid[: mask.shape[0], : mask.shape[1]].astype(np.float32)
         normals = np.stack([x / x.max() - 0.5, 0.5 - y / y.max(), y * 0 + 1], axis=-1)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -223,6 +224,82 @@ def test_names_that_are_not_unicode(folder, tmp_path, network_calls):
     assert len(list(written.iterdir())) == 4
     record = json.loads((written / "normals.json").read_text(encoding="utf-8"))
     assert [os.fsencode(x) for x in record["images"]][-1] == b"L\xe4mpe.png"
+
+
+@pytest.fixture
+def done(folder, tmp_path, calls):
+    """A folder's results, and a function that runs again and says what was called."""
+    run(folder, "-o", tmp_path / "out")
+    calls.clear()
+
+    def again(*arguments):
+        status = run(folder, "-o", tmp_path / "out", *arguments)
+        return status, len(calls)
+
+    return again
+
+
+def test_what_is_done_is_not_done_again(folder, tmp_path, done, capsys):
+    record = (tmp_path / "out/pot/normals.json").read_bytes()
+    os.utime(folder / "L_0.png")
+    assert done() == (0, 0)
+    assert (tmp_path / "out/pot/normals.json").read_bytes() == record
+    assert "pot is up to date; --overwrite makes it anew" in capsys.readouterr().out
+    assert done("--overwrite") == (0, 1)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda folder, out: write(folder / "L_2.png", photograph(1)),
+        lambda folder, out: write(folder / "L_9.png", photograph(1)),
+        lambda folder, out: (folder / "L_0.png").rename(folder / "L_7.png"),
+        lambda folder, out: (folder / "L_0.png").unlink(),
+        lambda folder, out: (folder / "mask.png").unlink(),
+        lambda folder, out: replace(folder / "mask.png", photograph(0)[..., 0]),
+        lambda folder, out: (out / "normals.png").write_bytes(b"painted over"),
+        lambda folder, out: (out / "normals.npy").unlink(),
+        lambda folder, out: (out / "normals.json").write_text("{}"),
+    ],
+)
+def test_what_has_changed_is_done_again(folder, tmp_path, done, change):
+    change(folder, tmp_path / "out" / "pot")
+    assert done() == (0, 1)
+    assert done() == (0, 1)  # and then no more
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--exr"],
+        ["--transfer", "linear"],
+        ["--max-images", "5"],
+        ["--normal-map", "directx"],
+        ["--reader", "official"],
+    ],
+)
+def test_other_options_are_done_again(done, arguments):
+    assert done(*arguments) == (0, 1)
+
+
+def test_other_weights_or_code_are_done_again(done, monkeypatch):
+    other = ModelConfig(), {"a": {"kernel": np.ones(6, np.float32)}}
+    with monkeypatch.context() as patched:
+        patched.setattr(weights, "load_weights", lambda name: other)
+        assert done() == (0, 1)
+    assert done() == (0, 2)
+    monkeypatch.setattr(folders, "code_hash", lambda *modules: "another")
+    assert done() == (0, 3)
+
+
+def test_the_function_is_as_quiet_as_the_command_is_not(
+    folder, tmp_path, calls, capsys
+):
+    network = folders.load_network("tiny")
+    record = folders.estimate_folder(folder, tmp_path / "out", network)
+    assert capsys.readouterr() == ("", "")
+    assert record["mask_pixels"] == 3000 and record["transfer"] == "srgb"
+    assert (tmp_path / "out" / "normals.npy").is_file()
 
 
 def test_folders_of_one_name_are_refused(folder, tmp_path, calls, capsys):

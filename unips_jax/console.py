@@ -189,13 +189,13 @@ def print_table(
     from rich.console import Console
     from rich.table import Table
 
-    shown = Table(title=title)
+    shown = Table()
     for column in columns:
         shown.add_column(column)
     for row in rows:
         shown.add_row(*row)
     width = None if sys.stdout.isatty() else 160
-    Console(width=width, markup=False).print(shown)
+    Console(width=width, markup=False, highlight=False).print(title, shown, sep="\n")
 
 
 def keep_compiled() -> None:
