@@ -2,15 +2,18 @@
 
 import errno
 import io
+import os
 import subprocess
 import sys
+from pathlib import Path
 
+import jax
 import pytest
 import rich.progress
 
 from unips_jax.cli.main import COMMANDS
 from unips_jax.cli.main import main as unips
-from unips_jax.console import command, track
+from unips_jax.console import command, keep_compiled, track
 
 CHATTY = """
 from unips_jax.console import command
@@ -77,7 +80,7 @@ def test_a_slip_has_its_nearest_named(arguments, expected, capsys):
         (OSError(errno.ENOSPC, "No space left on device", "a/b"), "a/b: No space left"),
         (OSError(errno.ENOSPC, "No space left on device"), "error: No space left"),
         (MemoryError(), "out of memory"),
-        (RuntimeError("Unable to initialize backend 'cuda':\nno"), "'cuda': no"),
+        (RuntimeError("RESOURCE_EXHAUSTED: Out of\nmemory"), "images (RESOURCE_EXH"),
     ],
 )
 def test_what_is_no_bug_is_one_line(error, expected, capsys):
@@ -96,3 +99,29 @@ def test_a_bug_is_not_hidden(error):
 
     with pytest.raises(type(error)):
         command(fail)([])
+
+
+@pytest.mark.parametrize("name", ["demo", "estimate in", "render", "validate"])
+def test_a_platform_that_is_not_there_is_one_line(name, tmp_path):
+    program = [sys.executable, "-m", "unips_jax", *name.split()]
+    output = [] if name == "validate" else ["-o", str(tmp_path / "out")]
+    environment = {**os.environ, "JAX_PLATFORMS": "tpu"}
+    ran = subprocess.run(
+        [*program, *output], env=environment, capture_output=True, text=True
+    )
+    assert ran.returncode == 2 and ran.stderr.count("\n") == 1
+    assert "error: JAX_PLATFORMS=tpu: expected a platform" in ran.stderr
+
+
+def test_without_a_home_nothing_is_kept(monkeypatch):
+    """As for a user without HOME and without an entry in the list of users."""
+
+    def home():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", home)
+    for name in ("JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    before = jax.config.jax_compilation_cache_dir
+    keep_compiled()
+    assert jax.config.jax_compilation_cache_dir == before

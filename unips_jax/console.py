@@ -80,11 +80,8 @@ def reason_of(error: Exception) -> str | None:
             text = f"{os.fsdecode(error.filename)}: {text}"
     elif isinstance(error, MemoryError):
         text = f"out of memory: {text or 'give smaller or fewer images'}"
-    elif type(error) is RuntimeError and "Unable to initialize backend" in text:
-        text = (
-            f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS', '')}: expected a platform "
-            f"that JAX can use here; install its build of JAX or unset it ({text})"
-        )
+    elif isinstance(error, RuntimeError) and text.startswith("RESOURCE_EXHAUSTED"):
+        text = f"out of memory: give smaller or fewer images ({text.splitlines()[0]})"
     else:
         return None
     return " ".join(text.split())
@@ -196,6 +193,27 @@ def print_table(
         shown.add_row(*row)
     width = None if sys.stdout.isatty() else 160
     Console(width=width, markup=False, highlight=False).print(title, shown, sep="\n")
+
+
+def start_jax() -> None:
+    """Readies JAX for a command: a device, and compiled functions are kept.
+
+    Raises:
+        InputError: if there is no device of the platform that the user asked for.
+    """
+    import jax
+
+    keep_compiled()
+    try:
+        jax.devices()
+    except Exception as error:  # an AssertionError without text, among others
+        asked = os.environ.get("JAX_PLATFORMS", "")
+        said = f" ({error})" if str(error) else ""
+        raise InputError(
+            f"JAX_PLATFORMS={asked}: expected a platform that JAX can use here, got "
+            f"none{said}; install JAX's build for it, such as jax[cuda12], or unset "
+            "the variable"
+        ) from error
 
 
 def keep_compiled() -> None:

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from unips_jax.console import command, keep_compiled, parse
+from unips_jax.console import command, parse, start_jax
 from unips_jax.errors import InputError
 from unips_jax.training.config import Config
 
@@ -99,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     if options.distributed:
         jax.distributed.initialize()
-    keep_compiled()
+    start_jax()
     start = time.monotonic()
     state = train(options.fields, options.workdir, init_weights=options.init_weights)
     minutes = (time.monotonic() - start) / 60

@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from unips_jax.console import command, keep_compiled, parse
+from unips_jax.console import command, parse, start_jax
 from unips_jax.estimation.folders import (
     FolderOptions,
     estimate_selection,
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     files = PSWildFolders(SAMPLE, min_images=1)[0]
     folder = files.normals.parent
     check_target(options.output, folder)
-    keep_compiled()
+    start_jax()
     from unips_jax.metrics import mean_angular_error_deg
 
     network = load_network(options.weights)

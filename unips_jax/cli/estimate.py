@@ -14,7 +14,7 @@ from typing import Annotated
 
 import tyro
 
-from unips_jax.console import command, keep_compiled, parse, reason_of
+from unips_jax.console import command, parse, reason_of, start_jax
 from unips_jax.errors import InputError
 from unips_jax.estimation.folders import (
     FolderOptions,
@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = parse(Options, argv, prog="unips estimate", description=__doc__)
     targets = _targets(options)
     options.how.check()
-    keep_compiled()
+    start_jax()
     clear_leftovers(options.output)
     if options.random_weights:
         network = random_network(options.how.seed)

@@ -15,10 +15,10 @@ import tyro
 
 from unips_jax.console import (
     command,
-    keep_compiled,
     one_of,
     parse,
     print_table,
+    start_jax,
     track,
 )
 from unips_jax.errors import InputError
@@ -102,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         raise InputError("diligent102: submissions need --protocol native")
     counts = [None if n == "all" else n for n in dict.fromkeys(options.num_images)]
     runner.check_counts(benchmark, counts)
-    keep_compiled()
+    start_jax()
     unips = UnipsOptions(
         options.weights or ("tiny",), options.canonical_size, options.uniform_contexts
     )

@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from unips_jax.console import command, parse
+from unips_jax.console import command, parse, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
 from unips_jax.io.images import check_picture
@@ -76,6 +76,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         make_folder(options.output, "-o")
     if options.sheet is not None:
         check_picture(options.sheet, "--sheet")
+    start_jax()
     from unips_jax.scenes.folders import render_folders, render_sheet
 
     if options.sheet is not None:

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import tyro
 
-from unips_jax.console import command, keep_compiled, one_of, parse, print_table
+from unips_jax.console import command, one_of, parse, print_table, start_jax
 from unips_jax.errors import InputError
 from unips_jax.scenes.config import LIGHT_KINDS, MATERIALS, SHAPE_KINDS, SceneConfig
 
@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     least = min(options.scenes, *options.images, 1 if options.images else 0)
     if least < 1:
         raise InputError(f"--scenes, --images: expected at least 1, got {least}")
-    keep_compiled()
+    start_jax()
     from unips_jax.training.validation import validate
     from unips_jax.weights import load_weights
 
