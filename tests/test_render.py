@@ -129,7 +129,7 @@ def test_trees_are_kept_unless_of_other_code(monkeypatch, tmp_path, capsys, scen
     assert "expected scenes of this version" in capsys.readouterr().err
     (tmp_path / "directional" / "obj000.data" / "meta.json").unlink()
     assert render.main(arguments) == 2
-    assert "meta.json cannot be read" in capsys.readouterr().err
+    assert "obj000.data: expected a folder of" in capsys.readouterr().err
 
 
 def test_several_processes_share_a_tree(monkeypatch, tmp_path, scene):
