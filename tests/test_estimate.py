@@ -321,7 +321,7 @@ def replace(path, image):
 
 def nan_image(folder):
     picture = photograph(0).astype(np.float32)
-    picture[3, 4] = np.nan
+    picture[HEIGHT // 2, WIDTH // 2] = np.nan
     replace(folder / "L_0.png", photograph(0))
     (folder / "L_0.png").unlink()
     write(folder / "L_0.tif", picture)
@@ -380,7 +380,7 @@ BAD_INPUT = {
     "mask turned": (mask_turned, ["mask.png", "got 60 x 80", "turn it by 90"]),
     "mask empty": (
         lambda f: replace(f / "mask.png", np.zeros((HEIGHT, WIDTH), np.uint8)),
-        ["mask.png", "values above 0 on the object, got at most 0"],
+        ["mask.png", "bright on the object, got 0 at most"],
     ),
     "mask damaged": (lambda f: truncate(f / "mask.png", 0.5), ["mask.png", "damaged"]),
     "two masks": (

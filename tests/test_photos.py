@@ -218,6 +218,19 @@ def test_drawn_images_depend_on_the_seed_only(tmp_path):
     assert select(tmp_path, max_images=20).left_out == {}
 
 
+def test_values_that_are_not_finite_matter_inside_the_mask_only(tmp_path):
+    picture = smooth(np.float32)
+    picture[2, 3] = [np.nan, np.inf, 1]
+    save(tmp_path / "a.exr", picture)
+    with pytest.raises(InputError, match=r"a\.exr: .* got 2 NaN or infinite"):
+        read_photographs(select(tmp_path))
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[2, 3] = 0
+    save(tmp_path / "mask.png", mask)
+    (read,) = read_photographs(select(tmp_path)).images
+    np.testing.assert_array_equal(read, np.nan_to_num(picture, posinf=0))
+
+
 def test_there_is_no_negative_light(tmp_path):
     picture = smooth(np.float32)
     picture[2, 3] = -0.1
