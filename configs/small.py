@@ -1,10 +1,11 @@
-"""For one GPU: about half an hour, on scenes made on the device.
+"""For one GPU, on scenes made on the device.
 
     unips train --config configs/small.py --workdir runs/small
 
-23.1 M parameters. Communication, ratios, observations, consensus, windows that cover as
-much of the object, mirrored images and loss are those that won in `tiny`; what they
-gain at this size was not measured. Not trained yet: no GPU was at hand; twenty steps,
+What: 23.1 M parameters. Communication, ratios, observations, consensus, windows that
+cover as much of the object and mirrored images are those of `tiny`; what they gain at
+this size was not measured.
+Hardware: meant for one GPU. Time and score: none, it was not trained yet; twenty steps,
 with smaller batches, were seen to run on two CPU cores.
 """
 

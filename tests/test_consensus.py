@@ -6,12 +6,15 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from flax.traverse_util import flatten_dict
 from small_networks import SMALL, lively_weights
 
 from unips_jax.models.consensus import Guesses
 from unips_jax.models.unips import UniPS
 from unips_jax.training import loss as losses
+from unips_jax.training.config import Config, DataConfig, TrainConfig
+from unips_jax.training.step import batch_loss
 from unips_jax.weights import init_params
 
 CONFIG = dataclasses.replace(SMALL, consensus_blocks=2, consensus_dim=32)
@@ -74,6 +77,23 @@ def test_losses_of_guesses_are_their_distances():
     cut[:, 10:12, 11:13] = False
     right = score(Guesses(flat, lights), cut, normals * cut[..., None], None)
     assert right["coarse"] < 1e-3
+
+
+def test_guesses_weigh_what_the_configuration_says():
+    names = "images", "mask", "normals", "lights"
+    batch = dict(zip(names, map(jnp.asarray, scene()), strict=True))
+    data = DataConfig(source="scenes", image_size=16, num_pixels=20, augment=False)
+
+    def loss(coarse, lights):
+        train = TrainConfig(coarse_guess_weight=coarse, lights_guess_weight=lights)
+        config = Config(model=CONFIG, data=data, train=train)
+        run = jax.jit(functools.partial(batch_loss, config=config))
+        return run(lively_weights(CONFIG), batch, jax.random.key(0))
+
+    alone, metrics = loss(0, 0)
+    both = float(alone + 0.2 * metrics["coarse"] + 0.1 * metrics["lights"])
+    assert float(loss(0.2, 0.1)[0]) == pytest.approx(both, rel=1e-5)
+    assert min(metrics["coarse"], metrics["lights"]) > 0.1
 
 
 def test_training_teaches_every_parameter():

@@ -6,8 +6,8 @@ Scores them, in the half precision they ship in, beside the shipped ones on the 
 held-out scenes, and replaces these if the error with the most images is smaller. With
 `--average` the mean of both takes the place of the trained ones: two ends of runs whose
 learning rate fell to zero lie around a better point. The file's record counts the steps
-of all runs, each begun with `--init-weights tiny`. Then do README's tables again, whose
-figures follow from the weights.
+of all runs, each begun with `--init-weights tiny`. Then `python tools/results.py
+--measure` measures the new weights' figures and writes them down.
 """
 
 import argparse
@@ -91,7 +91,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     record = {
         "steps": {**steps, "all scenes": steps["all scenes"] + new["step"]},
         "note": "interim: short runs after another; what changed at which step is in "
-        "configs/tiny.py",
+        "docs/history/tiny.md",
         "scores": {"held_out_scenes": arguments.scenes, "mae_deg": after},
     }
     save_weights(target, model, params, record=record, half=True)

@@ -164,6 +164,9 @@ class TrainConfig:
         seed: of parameters, data order, scenes and dropout.
         squared_loss: of the distance between true and predicted normals (the paper's);
             False takes the distance itself, which follows the mean angular error.
+        coarse_guess_weight: what the consensus' guess of coarse normals weighs in the
+            loss, beside the normals' own distance.
+        lights_guess_weight: what its guess of where the lights are weighs there.
         log_every: steps between metric lines, each of their means since the one before.
         checkpoint_every: steps between checkpoints.
         keep: how many checkpoints are kept.
@@ -177,6 +180,8 @@ class TrainConfig:
     steps: int = 67_327
     seed: int = 0
     squared_loss: bool = True
+    coarse_guess_weight: float = 0.5
+    lights_guess_weight: float = 0.25
     log_every: int = 20
     checkpoint_every: int = 500
     keep: int = 2
@@ -196,7 +201,11 @@ class TrainConfig:
             *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
             "validation_images",
         )
-        require_not_negative(self, "seed", "validation_scenes")
+        require_not_negative(
+            self,
+            *("seed", "coarse_guess_weight", "lights_guess_weight"),
+            "validation_scenes",
+        )
 
 
 @dataclasses.dataclass(frozen=True)

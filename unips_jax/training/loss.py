@@ -33,9 +33,6 @@ from unips_jax.models import ops
 from unips_jax.models.consensus import Guesses
 from unips_jax.models.unips import UniPS
 
-# What the guesses of a consensus weigh beside the normals.
-_GUESS_WEIGHTS = {"coarse": 0.5, "lights": 0.25}
-
 
 def squared_distance(predicted: Array, true: Array) -> Array:
     """Squared distance of unit normals: `[..., 3]` to `[...]`, in [0, 4]."""
@@ -137,6 +134,8 @@ def training_loss(
     frame: FrameKind = "image",
     grid_loss: bool = True,
     squared_loss: bool = True,
+    coarse_guess_weight: float = 0.5,
+    lights_guess_weight: float = 0.25,
     deterministic: bool = False,
 ) -> tuple[Array, dict[str, Array]]:
     """The mean loss of B objects, differentiable by the parameters.
@@ -156,6 +155,8 @@ def training_loss(
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
         grid_loss: include the sampling at the contexts' grid.
         squared_loss: the distances of the normals are squared, as in the paper.
+        coarse_guess_weight: what the guess of coarse normals weighs beside the normals.
+        lights_guess_weight: what the guess of the lights weighs there.
         deterministic: no dropout.
 
     Returns:
@@ -220,7 +221,8 @@ def training_loss(
     metrics = {"mae_deg": jnp.sum(weights[-drawn:] * error) / batch}
     if guesses is not None:
         losses = _guess_losses(guesses, mask, normals, lights, frame)
-        loss = loss + sum(_GUESS_WEIGHTS[name] * x for name, x in losses.items())
+        guess_weights = {"coarse": coarse_guess_weight, "lights": lights_guess_weight}
+        loss = loss + sum(guess_weights[name] * x for name, x in losses.items())
         metrics |= losses
     return loss, metrics
 

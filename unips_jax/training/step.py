@@ -109,6 +109,8 @@ def batch_loss(
         frame=data.frame,
         grid_loss=data.grid_loss,
         squared_loss=config.train.squared_loss,
+        coarse_guess_weight=config.train.coarse_guess_weight,
+        lights_guess_weight=config.train.lights_guess_weight,
     )
 
 
