@@ -1,0 +1,164 @@
+"""The results page: written from its files, and what measuring puts into them."""
+
+import json
+import runpy
+from pathlib import Path
+
+import pytest
+
+from unips_jax.errors import InputError
+from unips_jax.weights import weights_record
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    return runpy.run_path(str(ROOT / "tools" / "results.py"))
+
+
+@pytest.fixture
+def measurements(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    return runpy.run_path(str(ROOT / "tools" / "measurements.py"))
+
+
+def test_page_and_readme_regenerate_byte_for_byte(tool):
+    shipped = weights_record("tiny")["hash"][:8]
+    page, readme = ROOT / "docs" / "results.md", ROOT / "README.md"
+    assert tool["page"](shipped) == page.read_bytes().decode()
+    assert tool["readme"](shipped, readme.read_text()) == readme.read_bytes().decode()
+    assert len(readme.read_text().splitlines()) <= 120
+
+
+def test_measuring_replaces_what_is_named_and_says_what_is_left_out(
+    tool, tmp_path, monkeypatch, capsys
+):
+    measure = tool["measure"]
+    names = measure.__globals__
+    kind = names["MEASUREMENTS"]["demo"]
+
+    def fails(setting, line):
+        raise InputError("no photographs")
+
+    table = {"columns": ["", "8"], "rows": [["UniPS", 3.25]]}
+    kinds = {
+        "demo": kind._replace(read=lambda setting, line: table),
+        "photographs": kind._replace(read=fails),
+    }
+    monkeypatch.setitem(names, "MEASUREMENTS", kinds)
+    monkeypatch.setitem(names, "FOLDER", tmp_path)
+    record = {"hash": "0123456789", "steps": {"easy": 2, "all": 40}}
+    monkeypatch.setitem(names, "weights_record", lambda source: record)
+    setting = names["Setting"]("tiny", {})
+    path = tmp_path / "01234567.json"
+
+    measure(["demo", "photographs"], setting)
+    assert "left out photographs: no photographs" in capsys.readouterr().out
+    figures = json.loads(path.read_text())
+    assert (figures["hash"], figures["steps"]) == ("0123456789", 42)
+    assert list(figures["measurements"]) == ["demo"]
+
+    table["rows"][0][1] = 3.5
+    figures["measurements"]["held-out"] = {"kept": True}
+    path.write_text(json.dumps(figures))
+    measure(["demo"], setting)
+    after = json.loads(path.read_text())["measurements"]
+    assert after["held-out"] == {"kept": True}
+    assert after["demo"]["rows"] == [["UniPS", 3.5]]
+    assert tool["figure"]({"measurements": after}, "demo", "UniPS", "8") == 3.5
+    assert tool["figure"]({"measurements": after}, "demo", "UniPS", "4") is None
+
+
+def test_weights_without_figures_are_named(tool):
+    with pytest.raises(InputError, match=r"ffffffff\.json: expected the figures"):
+        tool["page"]("ffffffff")
+
+
+def test_unknown_measurements_are_refused(tool, capsys):
+    assert tool["main"](["--measure", "demo", "dmeo"]) == 2
+    assert "--measure dmeo: expected some of held-out" in capsys.readouterr().err
+
+
+def test_commands_get_our_places(measurements, tmp_path, monkeypatch):
+    setting = measurements["Setting"](
+        "w.safetensors", {"out": tmp_path, "data": tmp_path / "none"}
+    )
+    placed = setting._placed
+    assert placed("tiny") == "w.safetensors"
+    assert placed("out/demo") == str(tmp_path / "demo")
+    assert placed("--images") == "--images"
+    with pytest.raises(InputError, match="data/x: expected data, found nothing"):
+        placed("data/x")
+
+
+def test_tables_of_evaluations_are_read_by_name(measurements, tmp_path, monkeypatch):
+    setting = measurements["Setting"]("tiny", {"out": tmp_path})
+    monkeypatch.setattr(type(setting), "run", lambda *_: "")
+    lit = ["directional", "environment", "mixed", "Mean", "Median", "Objects"]
+    summary = [
+        ["unips tiny", 10, "this run", 1.234, 2.0, 3.0, 2.078, 9.0, "6 of 6"],
+        ["mpm:sign=oracle", 10, "this run", 4.0, 5.0, 6.0, 5.0, 9.0, "5 of 6"],
+        ["constant", 10, "this run", 7.0, 7.0, 7.0, 7.0, 7.0, "6 of 6"],
+        ["UniPS", 32, "published", 17.0, 14.5, 13.8, 15.1, None, None],
+    ]
+    categories = [
+        ["metal", light, 2, 30.0, score, 40.0]
+        for light, score in zip(lit[:3], (2.0, 4.0, 6.0), strict=True)
+    ]
+    objects = [["ball", 1.0, 2.0, 4.9, 4.1], ["mean", 1.5, 2.5, 5.0, 4.0]]
+    tables = {
+        "summary": (["Method", "Images", "Source", *lit], summary),
+        "categories": (
+            ["Category", "Lighting", "Objects", "sbl", "unips", "constant"],
+            categories,
+        ),
+        "objects": (
+            ["Object", "unips", "constant", "UniPS (published)", "PF14 (published)"],
+            objects,
+        ),
+    }
+    for folder in ("ps-wild-mini", "table8/evaluation", "diligent"):
+        place = tmp_path / folder / "tables"
+        place.mkdir(parents=True)
+        named = {n: {"columns": c, "rows": r} for n, (c, r) in tables.items()}
+        (place / "tables.json").write_text(json.dumps(named))
+
+    mini = measurements["_ps_wild_mini"](setting, "")
+    assert mini["columns"] == ["", "directional", "environment", "mixed", "mean"]
+    assert mini["rows"][0] == ["UniPS", 1.23, 2.0, 3.0, 2.08]
+    assert mini["rows"][-1] == ["material: metal", 2.0, 4.0, 6.0, 4.0]
+    assert [row[0] for row in mini["rows"]].count("UniPS") == 1
+
+    rows = {row[0]: row[1:] for row in measurements["_table8"](setting, "")["rows"]}
+    assert rows["UniPS"] == [1.23, 2.0, 3.0, 2.08, "6 of 6", 15.1]
+    assert rows["mpm †"] == [4.0, 5.0, 6.0, 5.0, "5 of 6", 31.37]
+    assert rows["constant normal"][-1] is None
+
+    assert measurements["_diligent"](setting, "") == {
+        "columns": ["", "ball", "mean"],
+        "rows": [
+            ["UniPS", 1.0, 1.5],
+            ["constant normal", 2.0, 2.5],
+            ["the paper's UniPS", 4.9, 5.0],
+        ],
+    }
+
+
+def test_scores_of_scenes_are_read_by_number_of_images(measurements, monkeypatch):
+    setting = measurements["Setting"]("tiny", {})
+    lines = [
+        {"images": n, "camera/perspective": 3.0 / n, "constant": 40.0, "mae": 8.0 / n}
+        for n in (1, 4)
+    ]
+    printed = "\n".join(map(json.dumps, lines))
+    monkeypatch.setattr(type(setting), "run", lambda *_: printed)
+    assert measurements["_validate"](setting, "") == {
+        "columns": ["", "1", "4"],
+        "rows": [
+            ["UniPS", 8.0, 2.0],
+            ["constant normal", 40.0, 40.0],
+            ["camera: perspective", 3.0, 0.75],
+        ],
+    }
