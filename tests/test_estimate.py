@@ -1,5 +1,6 @@
 """The command `unips estimate`, with a stand-in for the network."""
 
+import hashlib
 import json
 import os
 import subprocess
@@ -248,6 +249,26 @@ def test_what_is_done_is_not_done_again(folder, tmp_path, done, capsys):
     assert done("--overwrite") == (0, 1)
 
 
+def test_every_file_is_opened_once(folder, tmp_path, calls):
+    names = [*(f"L_{i}.png" for i in range(EXAMPLES)), "mask.png"]
+    opened = []
+
+    def listen(event, arguments):
+        if event == "open" and listening and isinstance(arguments[0], str):
+            opened.append(os.path.basename(arguments[0]))
+
+    listening = [True]
+    sys.addaudithook(listen)
+    assert run(folder, "-o", tmp_path / "out") == 0
+    listening.clear()
+    assert sorted(name for name in opened if name in names) == sorted(names)
+    record = json.loads((tmp_path / "out/pot/normals.json").read_text())
+    hashes = record["images"] | {"mask.png": record["mask_hash"]}
+    for name in names:
+        content = (folder / name).read_bytes()
+        assert hashes[name] == hashlib.sha256(content).hexdigest()
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -321,7 +342,7 @@ def replace(path, image):
 
 def nan_image(folder):
     picture = photograph(0).astype(np.float32)
-    picture[HEIGHT // 2, WIDTH // 2] = np.nan
+    picture[3, 40] = np.nan  # inside the mask
     replace(folder / "L_0.png", photograph(0))
     (folder / "L_0.png").unlink()
     write(folder / "L_0.tif", picture)

@@ -22,8 +22,9 @@ from unips_jax.io.advice import capture_warnings
 from unips_jax.io.color import Transfer
 from unips_jax.io.normals import NormalMap, write_normals
 from unips_jax.io.official import read_official
-from unips_jax.io.photographs import Selection, read_photographs, select
+from unips_jax.io.photographs import Selection, read_capture, select
 from unips_jax.io.record import (
+    HashingReader,
     complete_record,
     input_record,
     print_line,
@@ -201,7 +202,7 @@ def estimate_folder(
     earlier = None if overwrite else read_record(target)
     selection = _select(folder, options)
     if earlier is not None:
-        made_from = _input_record(selection, network, options)
+        made_from = _input_record(selection, network, options, HashingReader())
         if same_inputs(earlier, made_from):
             if verbose:
                 print(f"{folder}: {target} is up to date; --overwrite makes it anew")
@@ -232,11 +233,11 @@ def estimate_selection(
 
     if verbose:
         print_selection(selection)
-    images, mask, transfer = _read(selection, options, verbose=verbose)
+    reader = HashingReader()
+    images, mask, transfer = _read(selection, options, reader, verbose=verbose)
     warnings = capture_warnings(images, mask, selection.names)
-    record = complete_record(
-        _input_record(selection, network, options), images, mask, transfer, warnings
-    )
+    made_from = _input_record(selection, network, options, reader)
+    record = complete_record(made_from, images, mask, transfer, warnings)
     if verbose:
         print_record(record)
         for warning in warnings:
@@ -329,21 +330,32 @@ def _select(folder: Path, options: FolderOptions) -> Selection:
 
 
 def _read(
-    selection: Selection, options: FolderOptions, *, verbose: bool
+    selection: Selection,
+    options: FolderOptions,
+    reader: HashingReader,
+    *,
+    verbose: bool,
 ) -> tuple[np.ndarray, np.ndarray, Transfer]:
     if options.reader == "official":
         images, mask, _ = read_official(selection, size=options.size or 512)
         return images, mask, "linear"
     tracked: Any = functools.partial(track, description="reading photographs")
-    read = read_photographs(selection, track=tracked if verbose else iter)
+    read = read_capture(selection, track=tracked if verbose else iter, read=reader)
     transfer = read.transfer if options.transfer == "auto" else options.transfer
     return read.images, read.mask, transfer
 
 
 def _input_record(
-    selection: Selection, network: Network, options: FolderOptions
+    selection: Selection,
+    network: Network,
+    options: FolderOptions,
+    reader: HashingReader,
 ) -> dict[str, Any]:
     # Where the mask lies is no matter: its contents are told apart by their hash.
     chosen = dataclasses.asdict(dataclasses.replace(options, mask=None))
     del chosen["mask"]
-    return input_record(selection, network.record, chosen, code_hash(*_CODE))
+    normals = selection.folder / "normal.tif"
+    if options.reader == "official" and not selection.mask_file and normals.is_file():
+        selection = dataclasses.replace(selection, mask_file=normals)
+    code = code_hash(*_CODE)
+    return input_record(selection, network.record, chosen, code, reader)

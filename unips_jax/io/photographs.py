@@ -21,7 +21,7 @@ import numpy as np
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, usual_transfer
 from unips_jax.io.images import ImageFile, read_image_file, require_finite
-from unips_jax.io.masks import read_mask
+from unips_jax.io.masks import mask_of
 from unips_jax.io.names import SUFFIXES, is_map
 
 _RAW_SUFFIXES = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
@@ -163,7 +163,7 @@ def read_capture(
     Args:
         selection: which files.
         track: wraps the list of files, to show progress.
-        read: reads one photograph.
+        read: reads one photograph, or the mask.
         mask: `[H, W]`, bool, in place of the selection's mask file.
 
     Raises:
@@ -176,7 +176,7 @@ def read_capture(
         if first is None:
             first = dataclasses.replace(file, pixels=file.pixels[:0], alpha=None)
             if mask is None:
-                mask = mask_for(selection, file.pixels.shape[:2])
+                mask = mask_for(selection, file.pixels.shape[:2], read=read)
             shape = (len(selection.files), *mask.shape, 3)
             images = np.empty(shape, file.pixels.dtype)
         assert mask is not None
@@ -192,19 +192,25 @@ def read_capture(
     return Capture(images, mask, usual_transfer(images.dtype), first.focal)
 
 
-def mask_for(selection: Selection, shape: tuple[int, ...]) -> np.ndarray:
+def mask_for(
+    selection: Selection,
+    shape: tuple[int, ...],
+    *,
+    read: Callable[[Path], ImageFile] = read_image_file,
+) -> np.ndarray:
     """The mask of photographs: `[H, W]` bool; all true where there is no mask file.
 
     Args:
         selection: the files.
         shape: the photographs' height and width.
+        read: reads the mask's file.
 
     Raises:
         InputError: if the mask cannot be read, is empty or has another size.
     """
     if selection.mask_file is None:
         return np.ones(shape, bool)
-    mask = read_mask(selection.mask_file)
+    mask = mask_of(read(selection.mask_file))
     if mask.shape != shape:
         turned = mask.shape == shape[::-1]
         hint = "turn it by 90 degrees" if turned else "make it from a photograph"

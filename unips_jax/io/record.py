@@ -1,16 +1,19 @@
 """What one estimate was made from: kept beside the normals, and printed."""
 
 import datetime
+import hashlib
 import importlib.metadata
 import platform
 import sys
 import textwrap
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from unips_jax import __version__
 from unips_jax.io.color import Transfer
+from unips_jax.io.images import ImageFile, decode_image, read_bytes
 from unips_jax.io.photographs import Selection
 from unips_jax.io.results import file_hash
 
@@ -18,8 +21,32 @@ _UNTRAINED = "RANDOM WEIGHTS: an untrained network, these normals mean nothing"
 _VERSIONS_OF = ("jax", "flax", "numpy", "opencv-python-headless")
 
 
+class HashingReader:
+    """Reads image files, and knows their hashes from then on: each is opened once."""
+
+    def __init__(self) -> None:
+        """Knows no file."""
+        self._hashes: dict[Path, str] = {}
+
+    def __call__(self, path: Path) -> ImageFile:
+        """Reads an image file; see `read_image_file`."""
+        data = read_bytes(path)
+        self._hashes[path] = hashlib.sha256(data).hexdigest()
+        return decode_image(data, path)
+
+    def hash(self, path: Path) -> str:
+        """The SHA-256 of a file's contents, opened if it was not read here."""
+        if path not in self._hashes:
+            self._hashes[path] = file_hash(path)
+        return self._hashes[path]
+
+
 def input_record(
-    selection: Selection, weights: dict[str, Any], options: dict[str, Any], code: str
+    selection: Selection,
+    weights: dict[str, Any],
+    options: dict[str, Any],
+    code: str,
+    reader: HashingReader,
 ) -> dict[str, Any]:
     """What the normals follow from, known before anything is computed.
 
@@ -28,6 +55,7 @@ def input_record(
         weights: name, hash and whether they were trained.
         options: what the user chose.
         code: the hash of the code.
+        reader: has read the files, or will.
 
     Raises:
         InputError: if a file cannot be read.
@@ -38,10 +66,10 @@ def input_record(
         "code": code,
         "weights": weights,
         "folder": str(selection.folder),
-        "images": {file.name: file_hash(file) for file in selection.files},
+        "images": {file.name: reader.hash(file) for file in selection.files},
         "left_out": selection.left_out,
         "mask": None if mask is None else str(mask),
-        "mask_hash": None if mask is None else file_hash(mask),
+        "mask_hash": None if mask is None else reader.hash(mask),
         "options": options,
     }
 
