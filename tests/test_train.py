@@ -155,7 +155,7 @@ def test_nonfinite_loss_saves_the_batch(tmp_path, monkeypatch):
         while True:
             yield batch() | {"normals": batch()["normals"] * jnp.nan}
 
-    monkeypatch.setattr(module, "_batches", broken)
+    monkeypatch.setattr(module, "make_batches", broken)
     with pytest.raises(FloatingPointError, match="step 1"):
         module.train(CONFIG, tmp_path)
     with np.load(tmp_path / "nonfinite_step1.npz") as saved:

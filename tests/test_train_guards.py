@@ -15,6 +15,7 @@ import pytest
 from unips_jax.config import to_json
 from unips_jax.errors import InputError
 from unips_jax.train import load_config, main
+from unips_jax.training import log as log_module
 from unips_jax.training import loop
 from unips_jax.training.checkpoints import changed_fields
 from unips_jax.training.config import Config, DataConfig, MeshConfig
@@ -24,8 +25,9 @@ from unips_jax.training.guards import (
     check_input,
     stop_on_sigterm,
 )
-from unips_jax.training.log import TrainLog
+from unips_jax.training.log import TrainLog, duration
 from unips_jax.training.sharding import make_mesh
+from unips_jax.training.validation import score_table
 
 CONFIG = Config(data=DataConfig(source="mixture", root="a", batch_size=8))
 MESH = make_mesh(MeshConfig(data=1))
@@ -205,7 +207,7 @@ def test_an_unknown_field_has_its_nearest_named(tmp_path, capsys, option, near):
 
 def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
     state = SimpleNamespace(released_params=lambda: {"a": np.zeros(1)})
-    log = SimpleNamespace(metrics=lambda *_: None, shows_pictures=False)
+    log = SimpleNamespace(record=lambda *_: None, shows_pictures=False)
     written, record = [], {"best_mae_deg": None}
     monkeypatch.setattr(
         loop, "_write_weights", lambda path, *a: written.append((path.name, *a[2:]))
@@ -227,3 +229,61 @@ def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
     fewer = dataclasses.replace(CONFIG.train, validation_images=1)
     run(dataclasses.replace(CONFIG, train=fewer), (10, 35.0), (11, 36.0))
     assert (record["best_mae_deg"], record["best_step"]) == (35, 10)
+
+
+def test_what_a_run_tells(tmp_path, capsys, monkeypatch):
+    """The pace leaves compilation out; the first step is told, but not recorded."""
+    seconds = [0.0]
+    monkeypatch.setattr(log_module.time, "monotonic", lambda: seconds[0])
+    log = TrainLog(
+        tmp_path, 6, 1006, every=3, pending=[{"loss": 1.0, "grad_norm": 1.0}]
+    )
+    with log.compiling("the step"):
+        seconds[0] += 130
+    for step in range(7, 12):
+        seconds[0] += 4
+        values = {"coarse": 0.12345, "grad_norm": 1, "loss": step}
+        log.step(step, jax.tree.map(np.float32, values))
+    assert capsys.readouterr().err.splitlines() == [
+        "compiling the step; it takes a minute or so",
+        "compiled in 2 min",
+        "step    7/1006  loss 7  coarse 0.123  4 s/step, 67 min left",
+        "step    9/1006  loss 6.25  coarse 0.123  4 s/step, 66 min left",
+    ]
+    lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
+    (recorded,) = [json.loads(line) for line in lines]
+    assert recorded == {
+        **{"step": 9, "loss": (1 + 7 + 8 + 9) / 4},
+        **{"grad_norm": 1, "coarse": pytest.approx(0.12345)},
+    }
+    assert [values["loss"] for values in log.pending()] == [10, 11]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(3.4, "3 s"), (119, "119 s"), (130, "2 min"), (9000, "2.5 h"), (2e5, "2.3 days")],
+)
+def test_durations(seconds, text):
+    assert duration(seconds) == text
+
+
+def test_a_log_that_cannot_be_written_is_named(tmp_path):
+    log = TrainLog(tmp_path, 0, 5)
+    (tmp_path / "metrics.jsonl").mkdir()
+    with pytest.raises(InputError, match=r"metrics\.jsonl: .* Is a directory"):
+        log.record(1, {"loss": 1.0})
+    full = Path("/dev/full")
+    if full.exists():
+        log._path = full
+        with pytest.raises(InputError, match=r"/dev/full: .* No space left"):
+            log.record(1, {"loss": 1.0})
+
+
+def test_scores_are_a_short_table():
+    names = [f"material/kind{i:02}" for i in range(12)]
+    scores = dict.fromkeys(("mae", "constant", *names), 12.34)
+    table = score_table(scores | {"light/point": 8.0, "light/area": 3.14}).splitlines()
+    assert max(map(len, table)) <= 100 and len(table) == 3
+    assert table[-1] == "  light     area 3.1, point 8.0"
+    assert table[0].startswith("  material  kind00 12.3, kind01 12.3,")
+    assert table[1].startswith("            kind") and table[1].endswith(" 12.3")

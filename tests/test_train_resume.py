@@ -3,8 +3,11 @@
 import dataclasses
 import json
 import random
+import re
 import shutil
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -132,16 +135,36 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(uninterrupted, tmp_pat
     assert_same_end(workdir, whole)
 
 
-def test_sigterm_saves(uninterrupted, tmp_path):
+CONFIGURATION = """
+from pathlib import Path
+from unips_jax.config import from_json
+from unips_jax.training.config import Config
+
+def get_config():
+    return from_json(Config, Path(__file__).with_name("config.json").read_text())
+"""
+
+
+def test_sigterm_saves_and_shows_in_the_exit_status(uninterrupted, tmp_path):
     config, _ = uninterrupted
     long = dataclasses.replace(config.train, steps=100_000, checkpoint_every=99_999)
-    process = start(tmp_path, dataclasses.replace(config, train=long))
+    text = json.dumps(dataclasses.asdict(dataclasses.replace(config, train=long)))
+    (tmp_path / "config.json").write_text(text)
+    (tmp_path / "config.py").write_text(CONFIGURATION)
+    command = [sys.executable, "-m", "unips_jax.train", "--workdir", str(tmp_path)]
+    command += ["--config", str(tmp_path / "config.py")]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     log = tmp_path / "metrics.jsonl"
     while process.poll() is None and not (log.exists() and log.read_text()):
         time.sleep(0.05)
     process.terminate()
-    assert "stopped by SIGTERM" in finish(process)
+    _, told = process.communicate(timeout=600)
+    assert process.returncode == 143, told
+    assert "stopped by SIGTERM" in told
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] != []
+    first, *others = re.findall(r"step +(\d+)/100000  .* s/step, .* left", told)
+    assert (first, others[:1]) == ("1", ["2"])
+    assert re.search(r"compiled in \d+ (s|min)\n", told)
 
 
 @pytest.mark.slow

@@ -6,10 +6,14 @@ Any field of the configuration can be given; their defaults below are those of t
 --config file, or without one the paper's. The same command resumes a run that was
 stopped or killed, exactly: everything follows from the seed and the step, and what does
 not is in the checkpoint.
+
+Exit status: 0 at the last step, 143 if SIGTERM ended the run before it (a checkpoint
+was saved: the same command goes on), 2 if something given cannot be used.
 """
 
 import dataclasses
 import runpy
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -104,6 +108,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     state = train(options.fields, options.workdir, init_weights=options.init_weights)
     minutes = (time.monotonic() - start) / 60
     print(f"step {int(state.step)} after {minutes:.1f} minutes: {options.workdir}")
+    if int(state.step) < options.fields.train.steps:
+        raise SystemExit(128 + signal.SIGTERM)
 
 
 def _failure(error: Exception) -> str:

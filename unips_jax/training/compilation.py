@@ -3,6 +3,7 @@
 import ctypes
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 import jax
@@ -20,7 +21,9 @@ Step = Callable[[TrainState, Batch, jax.Array], tuple[TrainState, dict[str, jax.
 
 
 def compile_together(
-    step: Any, report: Callable[[str], None], settle: Callable[[], None]
+    step: Any,
+    compiling: Callable[[str], AbstractContextManager[None]],
+    settle: Callable[[], None],
 ) -> Step:
     """The jitted step; no process runs it before all have compiled it.
 
@@ -29,7 +32,7 @@ def compile_together(
 
     Args:
         step: what `jax.jit` gave.
-        report: called with a line before every compilation.
+        compiling: entered, with what it is, for every compilation.
         settle: called after it, from `keep_freed_memory`, or `return_freed_memory`.
 
     Returns:
@@ -44,10 +47,10 @@ def compile_together(
         types = str(jax.tree.map(jax.typeof, batch))
         if types not in compiled:
             count = batch["images"].shape[1]
-            report(f"compiling for sets of {count} images; it takes a minute or so")
-            compiled[types] = step.lower(state, batch, key).compile()
-            settle()
-            wait(key=f"compiled {types}", timeout_ms=3_600_000)
+            with compiling(f"the step for sets of {count} images"):
+                compiled[types] = step.lower(state, batch, key).compile()
+                settle()
+                wait(key=f"compiled {types}", timeout_ms=3_600_000)
         return compiled[types](state, batch, key)
 
     return run

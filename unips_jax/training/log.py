@@ -1,16 +1,22 @@
 """What a training run tells: lines, JSON lines, and TensorBoard if installed."""
 
+import contextlib
 import json
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from unips_jax.errors import InputError
 from unips_jax.io.claims import write_whole
+
+# The order of metrics in printed lines, which are to fit 100 columns.
+_FIRST = ("loss", "mae_deg")
+_UNPRINTED = ("grad_norm", "untrained")
 
 
 def say(text: str) -> None:
@@ -22,40 +28,89 @@ def say(text: str) -> None:
 class TrainLog:
     """Writes `metrics.jsonl` and prints, in the first process only."""
 
-    def __init__(self, workdir: Path, first: int, steps: int) -> None:
+    def __init__(
+        self,
+        workdir: Path,
+        first: int,
+        steps: int,
+        *,
+        every: int = 1,
+        pending: list[dict[str, float]] | None = None,
+    ) -> None:
         """Opens the log; lines of steps after `first` are dropped, they come again.
 
         Args:
             workdir: of the run.
             first: steps already done.
             steps: length of the run.
+            every: steps between two lines of metrics, each of their means.
+            pending: metrics of the steps before `first` that no line holds yet.
         """
         self._active = jax.process_index() == 0
         self._path = workdir / "metrics.jsonl"
-        self._steps, self._last, self._per_step = steps, (first, time.monotonic()), 0.0
+        self._first, self._steps, self._every = first, steps, every
+        self._pending: list[Any] = jax.tree.map(np.float32, pending or [])
+        self._start, self._compilation = time.monotonic(), 0.0
         self._tensorboard: Any = _tensorboard(workdir, first) if self._active else None
         if self._active and self._path.exists():
             lines = self._path.read_text().splitlines()
             kept = [line for line in lines if _step_of(line) <= first]
             write_whole(self._path, "".join(f"{line}\n" for line in kept).encode())
 
-    def metrics(self, step: int, values: Mapping[str, Any]) -> None:
-        """Records the metrics of a step."""
+    @contextlib.contextmanager
+    def compiling(self, what: str) -> Iterator[None]:
+        """Tells how long something compiles, which the pace leaves out.
+
+        Args:
+            what: is compiled, a few words.
+        """
+        say(f"compiling {what}; it takes a minute or so")
+        start = time.monotonic()
+        yield
+        seconds = time.monotonic() - start
+        self._compilation += seconds
+        say(f"compiled in {duration(seconds)}")
+
+    def step(self, step: int, metrics: Mapping[str, Any]) -> None:
+        """Takes a step's metrics; prints those of the first, then means.
+
+        Args:
+            step: the step.
+            metrics: scalars, on the device until they are needed.
+        """
+        self._pending.append(metrics)
+        if step % self._every == 0:
+            means = _means(jax.device_get(self._pending))
+            self._pending.clear()
+            self.record(step, means)
+            self._tell(step, means)
+        elif step == self._first + 1:
+            self._tell(step, jax.device_get(metrics))
+
+    def pending(self) -> list[dict[str, float]]:
+        """The metrics that no line holds yet, for a checkpoint."""
+        return jax.tree.map(float, self._pending)
+
+    def record(self, step: int, values: Mapping[str, Any]) -> None:
+        """Writes numbers to `metrics.jsonl` and TensorBoard.
+
+        Raises:
+            InputError: if the file cannot be written, as on a full disk.
+        """
         if not self._active:
             return
         numbers = {name: float(value) for name, value in values.items()}
-        with self._path.open("a") as file:
-            file.write(json.dumps({"step": step, **numbers}) + "\n")
+        try:
+            with self._path.open("a") as file:
+                file.write(json.dumps({"step": step, **numbers}) + "\n")
+        except OSError as error:
+            raise InputError(
+                f"{self._path}: expected a file that can be written, got: "
+                f"{error.strerror}; mend that, the same command then goes on"
+            ) from error
         if self._tensorboard is not None:
             for name, value in numbers.items():
                 self._tensorboard.add_scalar(name, value, step)
-        before, start = self._last
-        if step > before:  # the pace since then: early compilations do not count
-            self._last = step, time.monotonic()
-            self._per_step = (self._last[1] - start) / (step - before)
-        minutes = self._per_step * (self._steps - step) / 60
-        shown = " ".join(f"{name} {value:.3g}" for name, value in numbers.items())
-        say(f"step {step}/{self._steps} ({minutes:.0f} min left) {shown}")
 
     @property
     def shows_pictures(self) -> bool:
@@ -66,6 +121,33 @@ class TrainLog:
         """Records pictures, `[H, W, 3]` uint8, in TensorBoard."""
         for name, picture in named.items():
             self._tensorboard.add_image(name, picture, step, dataformats="HWC")
+
+    def _tell(self, step: int, values: Mapping[str, Any]) -> None:
+        elapsed = time.monotonic() - self._start - self._compilation
+        pace = elapsed / (step - self._first)
+        left = duration(pace * (self._steps - step))
+        names = [name for name in _FIRST if name in values]
+        names += sorted(values.keys() - {*_FIRST, *_UNPRINTED})
+        shown = "  ".join(f"{name} {values[name]:.3g}" for name in names)
+        place = f"step {step:{len(str(self._steps))}}/{self._steps}"
+        say(f"{place}  {shown}  {pace:.2g} s/step, {left} left")
+
+
+def duration(seconds: float) -> str:
+    """A duration as people say it: "40 s", "12 min", "3.5 h", "2.1 days"."""
+    for unit, size, digits in (("days", 86400, 1), ("h", 3600, 1), ("min", 60, 0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.{digits}f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def _means(values: list[dict[str, Any]]) -> dict[str, Any]:
+    # Steps on folders have no "lights".
+    names = dict.fromkeys(name for value in values for name in value)
+    return {
+        name: np.mean([value[name] for value in values if name in value])
+        for name in names
+    }
 
 
 def _step_of(line: str) -> float:

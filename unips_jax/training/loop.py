@@ -6,30 +6,27 @@ so a run that was stopped or killed resumes exactly.
 
 import dataclasses
 import functools
-import itertools
 import json
 import math
-from collections.abc import Iterator
+import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.sharding import Mesh
 
 from unips_jax.config import to_json
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
-from unips_jax.scenes import render_batch
+from unips_jax.training.batches import make_batches
 from unips_jax.training.checkpoints import Checkpoints
 from unips_jax.training.compilation import (
     compile_together,
     keep_freed_memory,
     return_freed_memory,
 )
-from unips_jax.training.config import Config
-from unips_jax.training.folders import draw_num_images, folder_batches
+from unips_jax.training.config import Config, TrainConfig
 from unips_jax.training.guards import (
     alone_in,
     any_process,
@@ -39,7 +36,6 @@ from unips_jax.training.guards import (
 )
 from unips_jax.training.log import TrainLog, say
 from unips_jax.training.sharding import (
-    batch_sharding,
     make_mesh,
     replicated,
     state_sharding,
@@ -47,7 +43,11 @@ from unips_jax.training.sharding import (
 )
 from unips_jax.training.state import TrainState, init_state, new_state
 from unips_jax.training.step import Batch, train_step
-from unips_jax.training.validation import validate, validation_pictures
+from unips_jax.training.validation import (
+    score_table,
+    validate,
+    validation_pictures,
+)
 from unips_jax.weights import load_weights, save_weights
 
 # Fields of a network that do not change what its parameters mean.
@@ -72,76 +72,60 @@ def train(
 
     Raises:
         InputError: if the folder holds a run with another configuration (other than
-            its length, rhythm, place of the data or memory), another process trains
-            there, or the batch does not fit the devices.
+            its length, rhythm, place of the data or memory) or damaged checkpoints
+            only, another process trains there, its disk is full, or the batch does
+            not fit the devices.
         FloatingPointError: if the loss is not finite; the batch is saved.
     """
     settle = keep_freed_memory() if config.train.keep_memory else return_freed_memory
     mesh = make_mesh(config.mesh)
     check_input(config, mesh)
     make_folder(workdir, "--workdir")
+    kind = mesh.devices.flat[0].device_kind
+    say(f"training in {workdir}, {config.train.steps} steps, on {mesh.size} x {kind}")
     key = jax.random.key(config.train.seed)
     init_key, scene_key, step_key = jax.random.split(key, 3)
-
-    shapes = jax.eval_shape(functools.partial(init_state, config), init_key)
-    shardings = state_sharding(shapes, mesh)
+    abstract = _abstract_state(config, init_key, mesh)
     with (
         alone_in(workdir),
         Checkpoints(workdir, config) as checkpoints,
         stop_on_sigterm() as stop,
     ):
         if checkpoints.latest_step() is None:
-            state = new_state(config, init_key, shardings)
-            if init_weights is not None:
-                state = _start_from(state, init_weights, config)
+            state = _new_state(config, init_key, abstract, init_weights)
             record: dict[str, Any] = {"best_mae_deg": None}
         else:
-            abstract = jax.tree.map(_with_sharding, shapes, shardings)
+            say(f"going on after step {checkpoints.latest_step()}")
             state, record = checkpoints.restore(abstract)
-        unlogged = jax.tree.map(np.float32, record.pop("unlogged", []))
-        first = int(state.step)
-        log = TrainLog(workdir, first, config.train.steps)
+        unlogged = record.pop("unlogged", [])
+        first, steps = int(state.step), config.train.steps
+        every = config.train.log_every
+        log = TrainLog(workdir, first, steps, every=every, pending=unlogged)
         run_step = compile_together(
-            jax.jit(
-                functools.partial(train_step, config=config),
-                donate_argnums=0,
-                out_shardings=(shardings, replicated(mesh)),
-            ),
-            say,
-            settle,
+            _jitted_step(config, abstract, mesh), log.compiling, settle
         )
-        batches = _batches(config, scene_key, mesh, first)
-        pending: tuple[int, Batch, dict[str, jax.Array]] | None = None
+        batches = make_batches(config, scene_key, mesh, first, log.compiling)
+        unchecked: tuple[int, Batch, dict[str, jax.Array]] | None = None
         validated = False
-        for step in range(first + 1, config.train.steps + 1):
+        for step in range(first + 1, steps + 1):
             batch = next(batches)
             state, metrics = run_step(state, batch, step_key)
-            if pending is not None:
-                check_finite(*pending, workdir)
-            pending = (step, batch, metrics)
+            if unchecked is not None:
+                check_finite(*unchecked, workdir)
+            unchecked = (step, batch, metrics)
             checkpoints.check()
-            unlogged.append(metrics)
-            if step % config.train.log_every == 0:
-                log.metrics(step, _means(jax.device_get(unlogged)))
-                unlogged.clear()
-            done = step == config.train.steps
-            validates = done or step % config.train.validate_every == 0
-            # All processes stop after the same step. They agree on it where they wait
-            # for the device anyway.
-            agrees = jax.process_count() == 1 or step % config.train.log_every == 0
-            stopping = agrees and any_process(stop.is_set())
-            saves = done or stopping or step % config.train.checkpoint_every == 0
-            if validates or saves:
-                check_finite(*pending, workdir)
-            if validates:
+            log.step(step, metrics)
+            due = _due(step, config.train, stop)
+            if due.validation or due.checkpoint:
+                check_finite(*unchecked, workdir)
+            if due.validation:
                 record = _validate_and_keep_best(config, state, record, workdir, log)
                 if not validated:  # it compiled
                     settle()
                 validated = True
-            if saves:
-                floats = jax.tree.map(float, unlogged)
-                checkpoints.save(step, state, {**record, "unlogged": floats})
-            if stopping:
+            if due.checkpoint:
+                checkpoints.save(step, state, {**record, "unlogged": log.pending()})
+            if due.stop:
                 say(f"stopped by SIGTERM after step {step}; checkpoint saved")
                 break
     params = to_host(state.released_params())
@@ -149,17 +133,55 @@ def train(
     return state
 
 
-def _means(values: list[dict[str, Any]]) -> dict[str, Any]:
-    # Steps on folders have no "lights".
-    names = dict.fromkeys(name for value in values for name in value)
-    return {
-        name: np.mean([value[name] for value in values if name in value])
-        for name in names
-    }
+class _Due(NamedTuple):
+    """What follows a step."""
+
+    validation: bool
+    checkpoint: bool
+    stop: bool
 
 
-def _with_sharding(shape: jax.ShapeDtypeStruct, sharding: Any) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct(shape.shape, shape.dtype, sharding=sharding)
+def _due(step: int, train: TrainConfig, stop: threading.Event) -> _Due:
+    done = step == train.steps
+    # All processes stop after the same step. They agree on it where they wait for the
+    # device anyway.
+    agrees = jax.process_count() == 1 or step % train.log_every == 0
+    stopping = agrees and any_process(stop.is_set())
+    return _Due(
+        validation=done or step % train.validate_every == 0,
+        checkpoint=done or stopping or step % train.checkpoint_every == 0,
+        stop=stopping,
+    )
+
+
+def _abstract_state(config: Config, key: jax.Array, mesh: Mesh) -> TrainState:
+    """Shapes, types and shardings of the state."""
+    shapes = jax.eval_shape(functools.partial(init_state, config), key)
+
+    def place(shape: jax.ShapeDtypeStruct, sharding: Any) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(shape.shape, shape.dtype, sharding=sharding)
+
+    return jax.tree.map(place, shapes, state_sharding(shapes, mesh))
+
+
+def _shardings(abstract: TrainState) -> Any:
+    return jax.tree.map(lambda x: x.sharding, abstract)
+
+
+def _jitted_step(config: Config, abstract: TrainState, mesh: Mesh) -> Any:
+    """The training step; it overwrites the state that it is given."""
+    return jax.jit(
+        functools.partial(train_step, config=config),
+        donate_argnums=0,
+        out_shardings=(_shardings(abstract), replicated(mesh)),
+    )
+
+
+def _new_state(
+    config: Config, key: jax.Array, abstract: TrainState, init_weights: str | None
+) -> TrainState:
+    state = new_state(config, key, _shardings(abstract))
+    return state if init_weights is None else _start_from(state, init_weights, config)
 
 
 def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
@@ -184,61 +206,6 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
     return state._replace(params=placed, ema_params=ema)
 
 
-def _batches(
-    config: Config, scene_key: jax.Array, mesh: Mesh, first: int
-) -> Iterator[Batch]:
-    """The batches of the steps after `first`; each follows from its step."""
-    data, seed = config.data, config.train.seed
-    scene_share = {"scenes": 1.0, "folders": 0.0}.get(data.source, data.scene_share)
-
-    def from_scenes(step: int) -> bool:
-        return bool(np.random.default_rng((seed, step, 1)).random() < scene_share)
-
-    # Scenes always have the largest number of images: one compilation serves all.
-    sharding = batch_sharding(mesh)
-
-    @functools.partial(jax.jit, out_shardings=sharding)
-    def render(step: jax.Array) -> Batch:
-        keys = jax.random.split(jax.random.fold_in(scene_key, step), data.batch_size)
-        scene = render_batch(
-            keys,
-            size=data.image_size,
-            num_images=max(data.num_images),
-            config=config.scenes,
-        )
-        batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
-        if config.model.consensus_blocks:  # others would be compiled for them in vain
-            batch["lights"] = scene.light_means
-        return batch
-
-    folders: Iterator[dict[str, np.ndarray]] = iter(())
-    if scene_share < 1:
-        folders = folder_batches(
-            data.root,
-            size=data.image_size,
-            batch_size=data.batch_size,
-            num_images=data.num_images,
-            seed=seed,
-            first=sum(not from_scenes(step) for step in range(1, first + 1)),
-            process=(jax.process_index(), jax.process_count()),
-            workers=data.workers,
-        )
-
-    @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)
-    def take(x: jax.Array, count: int) -> jax.Array:
-        return x[:, :count]
-
-    place = functools.partial(jax.make_array_from_process_local_data, sharding)
-    for step in itertools.count(first + 1):
-        if from_scenes(step):
-            batch = render(np.int32(step))
-            count = draw_num_images(data.num_images, seed, step)
-            sets = (name for name in ("images", "lights") if name in batch)
-            yield {**batch, **{name: take(batch[name], count) for name in sets}}
-        else:
-            yield jax.tree.map(place, next(folders))
-
-
 def _validate_and_keep_best(
     config: Config,
     state: TrainState,
@@ -258,13 +225,19 @@ def _validate_and_keep_best(
         size=config.data.image_size,
     )
     step = int(state.step)
-    log.metrics(step, {f"validation/{name}": v for name, v in scores.items()})
+    log.record(step, {f"validation/{name}": v for name, v in scores.items()})
     if log.shows_pictures:
         log.pictures(step, validation_pictures(params, config))
     # A score on other scenes, before a resumption, is no measure of this one.
     on = [config.train.validation_scenes, config.train.validation_images]
     best = record["best_mae_deg"] if record.get("best_on", on) == on else None
-    if not scores["mae"] < (math.inf if best is None else best):  # nor is NaN better
+    better = scores["mae"] < (math.inf if best is None else best)  # NaN is not
+    rank = "the best so far" if better else f"best: {best or math.nan:.2f}"
+    say(
+        f"validation after step {step}: {scores['mae']:.2f} degrees ({rank}), "
+        f"{scores['constant']:.2f} for constant normals\n{score_table(scores)}"
+    )
+    if not better:
         return record
     _write_weights(workdir / "best.safetensors", config, params, step, scores)
     return {"best_mae_deg": scores["mae"], "best_step": step, "best_on": on}

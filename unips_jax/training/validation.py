@@ -4,6 +4,7 @@ The scenes come from keys that training never uses. A constant normal towards th
 viewer is scored beside the network: a result near it means that something is broken.
 """
 
+import textwrap
 from collections.abc import Iterator
 from typing import Any
 
@@ -108,6 +109,28 @@ def validate(
         for name in ("mae", *_groups(scene)):
             errors.setdefault(name, []).append(error)
     return {name: float(np.mean(values)) for name, values in sorted(errors.items())}
+
+
+def score_table(scores: dict[str, float]) -> str:
+    """The groups' scores as a few lines for a terminal of 100 columns.
+
+    Args:
+        scores: from `validate`.
+    """
+    groups: dict[str, list[tuple[float, str]]] = {}
+    for name, score in scores.items():
+        if "/" in name:
+            group, kind = name.split("/")
+            groups.setdefault(group, []).append((score, kind))
+    lines = []
+    for group, members in groups.items():
+        # A no-break space keeps a kind and its score on one line.
+        text = ", ".join(f"{kind}\xa0{score:.1f}" for score, kind in sorted(members))
+        indent = f"  {group:10}"
+        lines += textwrap.wrap(
+            text, 100, initial_indent=indent, subsequent_indent=" " * len(indent)
+        )
+    return "\n".join(lines).replace("\xa0", " ")
 
 
 def validation_pictures(

@@ -1,0 +1,104 @@
+"""The batches of a run: scenes made on the device, PS-Wild folders, or both."""
+
+import functools
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+
+from unips_jax.scenes import render_batch
+from unips_jax.training.config import Config
+from unips_jax.training.folders import draw_num_images, folder_batches
+from unips_jax.training.sharding import batch_sharding
+from unips_jax.training.step import Batch
+
+
+def make_batches(
+    config: Config,
+    scene_key: jax.Array,
+    mesh: Mesh,
+    first: int,
+    compiling: Callable[[str], AbstractContextManager[None]],
+) -> Iterator[Batch]:
+    """The batches of the steps after `first`; each follows from its step.
+
+    Args:
+        config: of the run.
+        scene_key: for the scenes.
+        mesh: the devices that share a batch.
+        first: steps already done.
+        compiling: entered, with what it is, while something compiles.
+
+    Yields:
+        `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and, of
+        scenes where the network has use for them, `lights [B, N, 3]`.
+    """
+    data, seed = config.data, config.train.seed
+    scene_share = {"scenes": 1.0, "folders": 0.0}.get(data.source, data.scene_share)
+
+    def from_scenes(step: int) -> bool:
+        return bool(np.random.default_rng((seed, step, 1)).random() < scene_share)
+
+    before = range(1, first + 1)
+    sharding = batch_sharding(mesh)
+    if scene_share > 0:
+        render = _scene_renderer(config, scene_key, mesh, compiling)
+    if scene_share < 1:
+        folders = folder_batches(
+            data.root,
+            size=data.image_size,
+            batch_size=data.batch_size,
+            num_images=data.num_images,
+            seed=seed,
+            first=sum(not from_scenes(step) for step in before),
+            process=(jax.process_index(), jax.process_count()),
+            workers=data.workers,
+        )
+    place = functools.partial(jax.make_array_from_process_local_data, sharding)
+    for step in itertools.count(first + 1):
+        if from_scenes(step):
+            yield render(step)
+        else:
+            yield jax.tree.map(place, next(folders))
+
+
+def _scene_renderer(
+    config: Config,
+    key: jax.Array,
+    mesh: Mesh,
+    compiling: Callable[[str], AbstractContextManager[None]],
+) -> Callable[[int], Batch]:
+    data, sharding = config.data, batch_sharding(mesh)
+
+    # Scenes always have the largest number of images: one compilation serves all.
+    @functools.partial(jax.jit, out_shardings=sharding)
+    def render(step: jax.Array) -> Batch:
+        keys = jax.random.split(jax.random.fold_in(key, step), data.batch_size)
+        scene = render_batch(
+            keys,
+            size=data.image_size,
+            num_images=max(data.num_images),
+            config=config.scenes,
+        )
+        batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
+        if config.model.consensus_blocks:  # others would be compiled for them in vain
+            batch["lights"] = scene.light_means
+        return batch
+
+    @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)
+    def take(x: jax.Array, count: int) -> jax.Array:
+        return x[:, :count]
+
+    with compiling("what makes the scenes"):
+        compiled = render.lower(np.int32(0)).compile()
+
+    def scenes(step: int) -> Batch:
+        batch = compiled(np.int32(step))
+        count = draw_num_images(data.num_images, config.train.seed, step)
+        sets = (name for name in ("images", "lights") if name in batch)
+        return {**batch, **{name: take(batch[name], count) for name in sets}}
+
+    return scenes
