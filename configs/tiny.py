@@ -29,31 +29,7 @@ from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConf
 def get_config() -> Config:
     """The configuration."""
     return Config(
-        model=ModelConfig(
-            canonical_size=96,
-            antialias=True,
-            patch_channels=(24, 64),
-            embed_dim=64,
-            ratio_dim=16,
-            depths=(2, 6, 3),
-            num_heads=(2, 4, 8),
-            window_size=6,
-            communication="during",
-            drop_path_rate=0.0,
-            context_dim=64,
-            pool_scales=(1, 2),
-            linear_pooling=True,
-            aggregation_layers=3,
-            hidden_dim=128,
-            aggregation_heads=4,
-            aggregation_mlp_dim=256,
-            pma_mlp_dim=256,
-            predictor_dim=128,
-            observation_dim=64,
-            consensus_blocks=6,
-            dropout_rate=0.0,
-            mirror=True,
-        ),
+        model=ModelConfig.tiny(),
         data=DataConfig(
             source="scenes",
             image_size=128,

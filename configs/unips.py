@@ -6,10 +6,12 @@ runs/unips --data.root PS-Wild`. Hardware of the paper: one Quadro RTX 8000, 48 
 Not trained here: neither that data set nor that time were at hand.
 """
 
+import dataclasses
+
 from unips_jax.config import ModelConfig
 from unips_jax.training.config import Config
 
 
 def get_config() -> Config:
     """The configuration: the defaults are the paper's."""
-    return Config(model=ModelConfig(remat=True))
+    return Config(model=dataclasses.replace(ModelConfig.paper(), remat=True))

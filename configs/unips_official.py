@@ -9,14 +9,14 @@ trained with batch 4 and weight decay 0.01.
 
 import dataclasses
 
+from unips_jax.config import ModelConfig
 from unips_jax.training.config import Config, DataConfig, OptimConfig
-from unips_jax.weights import OFFICIAL_CONFIG
 
 
 def get_config() -> Config:
     """The configuration."""
     return Config(
-        model=dataclasses.replace(OFFICIAL_CONFIG, remat=True),
+        model=dataclasses.replace(ModelConfig.released(), remat=True),
         data=DataConfig(batch_size=4),
         optim=OptimConfig(weight_decay=0.01, decay_every=7_575),
     )

@@ -9,8 +9,9 @@ import jax
 import numpy as np
 from scipy.io import savemat
 
-from unips_jax.config import ModelConfig
-from unips_jax.weights import init_params, save_weights
+from unips_jax.config import UniPSConfig
+from unips_jax.models.network import init_params
+from unips_jax.weights import save_weights
 
 
 def sphere(height, width, *, center=None, radius=None):
@@ -260,7 +261,7 @@ def tilted(*degrees):
 
 
 def small_weights(path, seed=0):
-    config = ModelConfig(
+    config = UniPSConfig(
         canonical_size=32,
         patch_channels=(4, 6),
         embed_dim=8,

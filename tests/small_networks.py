@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from unips_jax.config import ModelConfig
-from unips_jax.weights import init_params
+from unips_jax.config import SelfCalibratingConfig, UniPSConfig
+from unips_jax.models.network import init_params
 
-SMALL = ModelConfig(
+_SIZES = dict(
     canonical_size=16,
     patch_channels=(3, 5),
     embed_dim=8,
@@ -28,6 +28,10 @@ SMALL = ModelConfig(
     predictor_dim=5,
     drop_path_rate=0.0,
     dropout_rate=0.0,
+)
+SMALL = UniPSConfig(**_SIZES)
+SMALL_OURS = SelfCalibratingConfig(
+    **_SIZES, ratio_dim=2, consensus_blocks=2, consensus_dim=32, observation_dim=4
 )
 
 

@@ -18,7 +18,9 @@ from unips_jax.weights import save_weights
 PARAMS = {"a": {"kernel": np.zeros(3, np.float32)}}
 WRITERS = {
     "write_whole": lambda folder: claims.write_whole(folder / "a", b"data"),
-    "save_weights": lambda folder: save_weights(folder / "a", ModelConfig(), PARAMS),
+    "save_weights": lambda folder: save_weights(
+        folder / "a", ModelConfig.tiny(), PARAMS
+    ),
     "save_params": lambda folder: save_params(folder / "a", PARAMS, "lcnet"),
     "commit": lambda folder: Store(folder).commit("a", {}, None),
 }

@@ -1,6 +1,5 @@
 """What the images of a set agree on: begins as nothing, guesses what it is taught."""
 
-import dataclasses
 import functools
 
 import jax
@@ -8,20 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
-from small_networks import SMALL, lively_weights
+from small_networks import SMALL_OURS as CONFIG
+from small_networks import lively_weights
 
-from unips_jax.models.consensus import Guesses
-from unips_jax.models.unips import UniPS
+from unips_jax.models.encoding import Guesses
+from unips_jax.models.network import Network, init_params
 from unips_jax.training import loss as losses
 from unips_jax.training.config import Config, DataConfig, TrainConfig
 from unips_jax.training.step import batch_loss
-from unips_jax.weights import init_params
-
-CONFIG = dataclasses.replace(SMALL, consensus_blocks=2, consensus_dim=32)
 
 
-def encoder(params, config=CONFIG):
-    return UniPS(config).bind({"params": params}).encoder
+def agreement(params):
+    return Network(CONFIG).bind({"params": params}).encoder.consensus
 
 
 def contexts(sets=2, images=3):
@@ -29,14 +26,14 @@ def contexts(sets=2, images=3):
 
 
 def test_begins_as_the_identity_and_changes_the_contexts():
-    begun, _ = encoder(init_params(CONFIG, jax.random.key(0))).agree(contexts())
+    begun, _ = agreement(init_params(CONFIG, jax.random.key(0)))(contexts())
     np.testing.assert_array_equal(begun, contexts())
-    changed, _ = encoder(lively_weights(CONFIG)).agree(contexts())
+    changed, _ = agreement(lively_weights(CONFIG))(contexts())
     assert abs(changed - contexts()).max(axis=-1).min() > 1e-3
 
 
 def test_every_image_has_its_light_and_all_have_one_shape():
-    agree = encoder(lively_weights(CONFIG)).agree
+    agree = agreement(lively_weights(CONFIG))
     _, guesses = agree(contexts())
     order = jnp.array([2, 0, 1])
     _, permuted = agree(contexts()[:, order])

@@ -33,7 +33,7 @@ def test_what_the_demo_says_of_its_normals_is_true(tmp_path, monkeypatch, capsys
         return (mirrored * mask[..., None]).astype(np.float32)
 
     monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
-    monkeypatch.setattr(weights, "load_weights", lambda name: (ModelConfig(), {}))
+    monkeypatch.setattr(weights, "load_weights", lambda name: (ModelConfig.tiny(), {}))
     target = tmp_path / "out"
     assert demo.main(["-o", str(target)]) == 0
     np.testing.assert_array_equal(seen["mask"], inside)

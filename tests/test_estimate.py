@@ -35,7 +35,7 @@ def network_calls(monkeypatch):
         return normals * mask[..., None]
 
     def load(name):
-        return ModelConfig(), {"a": {"kernel": np.arange(6, dtype=np.float32)}}
+        return ModelConfig.tiny(), {"a": {"kernel": np.arange(6, dtype=np.float32)}}
 
     monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
     monkeypatch.setattr(weights, "load_weights", load)
@@ -304,7 +304,7 @@ def test_other_options_are_done_again(done, arguments):
 
 
 def test_other_weights_or_code_are_done_again(done, monkeypatch):
-    other = ModelConfig(), {"a": {"kernel": np.ones(6, np.float32)}}
+    other = ModelConfig.small(), {"a": {"kernel": np.ones(6, np.float32)}}
     with monkeypatch.context() as patched:
         patched.setattr(weights, "load_weights", lambda name: other)
         assert done() == (0, 1)

@@ -6,14 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL, lively_weights, with_dtype
+from small_networks import SMALL, SMALL_OURS, lively_weights, with_dtype
 
 from unips_jax import estimate_normals
+from unips_jax.config import SelfCalibratingConfig
 from unips_jax.estimation import pure
 from unips_jax.estimation.frame import canonical_images, square_frame
 from unips_jax.estimation.streaming import estimate_photographs
+from unips_jax.models.network import Network
 from unips_jax.models.ops import normalize
-from unips_jax.models.unips import UniPS
 
 
 @pytest.fixture(scope="module")
@@ -62,20 +63,11 @@ def test_chunked_equals_whole(params, monkeypatch):
     np.testing.assert_allclose(chunked, whole, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"communication": "none"},
-        {"communication": "during"},
-        {"communication": "pre"},
-        {"communication": "post"},
-        {"ratio_dim": 2},
-        {"consensus_blocks": 2, "consensus_dim": 32},
-    ],
-    ids=lambda changes: "-".join(map(str, changes.values())),
-)
-def test_encoding_in_pieces_is_the_encoder(monkeypatch, changes):
-    config = dataclasses.replace(SMALL, **changes)
+@pytest.mark.parametrize("communication", ["none", "during", "pre", "post", "ours"])
+def test_encoding_in_pieces_is_the_encoder(monkeypatch, communication):
+    config = SMALL_OURS
+    if communication != "ours":
+        config = dataclasses.replace(SMALL, communication=communication)
     params = lively_weights(config)
     images = jax.random.uniform(jax.random.key(1), (5, 16, 16, 4))
     valid = jnp.array([True, True, False, True, True])
@@ -83,9 +75,11 @@ def test_encoding_in_pieces_is_the_encoder(monkeypatch, changes):
 
     @jax.jit
     def both(params, images, valid):
-        encoder = UniPS(config).bind({"params": params}).encoder
         pieces = pure.encode(params, images, valid, config=config)
-        return pieces, encoder(images, valid)
+        whole = Network(config).apply(
+            {"params": params}, images, valid, method="encode"
+        )
+        return pieces, whole.contexts
 
     np.testing.assert_allclose(*both(params, images, valid), rtol=1e-4, atol=1e-4)
 
@@ -129,19 +123,28 @@ def test_canonical_images_are_resized_ones(antialias):
         np.testing.assert_allclose(small[..., :3], expected, atol=1e-6)
 
 
-def test_mirror_averages_with_the_mirrored_images(params):
+class OneView(SelfCalibratingConfig):
+    """Our network without the mirrored images."""
+
+    mirror = False
+
+
+def test_mirror_averages_with_the_mirrored_images():
     """And so does its gradient; mirrored images give the mirrored normals."""
     images, mask = photographs()
-    config = dataclasses.replace(SMALL, mirror=True)
+    config, params = SMALL_OURS, lively_weights(SMALL_OURS)
+    sizes = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
+    del sizes["network"]
+    one_view = OneView(**sizes)
     target = jax.random.normal(jax.random.key(0), (*mask.shape, 3))
 
     def mirrored(normals):
         return normals[:, ::-1] * jnp.array([-1, 1, 1])
 
     def both(images):
-        plain = estimate_normals(params, images, mask, config=SMALL)
+        plain = estimate_normals(params, images, mask, config=one_view)
         other = estimate_normals(
-            params, images[:, :, ::-1], mask[:, ::-1], config=SMALL
+            params, images[:, :, ::-1], mask[:, ::-1], config=one_view
         )
         return normalize(plain + mirrored(other))
 
@@ -149,7 +152,7 @@ def test_mirror_averages_with_the_mirrored_images(params):
         return estimate_normals(params, images, mask, config=config)
 
     expected = both(images)
-    plain = estimate_normals(params, images, mask, config=SMALL)
+    plain = estimate_normals(params, images, mask, config=one_view)
     assert abs(plain - expected).max() > 0.01
     np.testing.assert_allclose(averaged(images), expected, atol=1e-5)
     swapped = estimate_normals(params, images[:, :, ::-1], mask[:, ::-1], config=config)
@@ -256,11 +259,10 @@ def equations(jaxpr, inside_loop=False):
                 yield from equations(value, looped)
 
 
-@pytest.mark.parametrize("mirror", [False, True])
-def test_loops_never_hold_whole_images(params, mirror):
+@pytest.mark.parametrize("config", [SMALL, SMALL_OURS], ids=["paper", "ours"])
+def test_loops_never_hold_whole_images(config):
     """Nor does their backward pass: else its cost grows with the pixels squared."""
-    images = jnp.zeros((3, 90, 120, 3))
-    config = dataclasses.replace(SMALL, mirror=mirror)
+    images, params = jnp.zeros((3, 90, 120, 3)), lively_weights(config)
 
     def loss(images):
         return jnp.sum(estimate_normals(params, images, config=config)[..., 2])
@@ -301,15 +303,16 @@ def test_compiles_once_per_shape(params):
 
 
 @pytest.mark.parametrize(
-    ("dtype", "transfer", "changes"),
+    ("dtype", "transfer", "config"),
     [
-        ("float32", "linear", {"mirror": True}),
-        ("uint16", "linear", {"antialias": True}),
-        ("uint8", "srgb", {}),
+        ("float32", "linear", SMALL),
+        ("uint16", "linear", SMALL_OURS),
+        ("uint8", "srgb", SMALL_OURS),
     ],
+    ids=["float", "linear", "srgb"],
 )
-def test_streaming_gives_the_same(params, dtype, transfer, changes):
-    config = dataclasses.replace(SMALL, **changes)
+def test_streaming_gives_the_same(dtype, transfer, config):
+    params = lively_weights(config)
     images, mask = photographs(n=5)
     stored, linear = images, images
     if dtype != "float32":

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +13,11 @@ from flax.traverse_util import flatten_dict
 from small_networks import lively
 
 from unips_jax.config import ModelConfig, from_json, to_json
+from unips_jax.models.network import Network, init_params
+from unips_jax.models.self_calibrating import Observation, image_ratios
 from unips_jax.models.set_attention import PMA, dot_product_attention
-from unips_jax.models.unips import UniPS, append_ratios
 
-SMALL = dataclasses.replace(
-    small_networks.SMALL,
+LARGER = dict(
     canonical_size=20,
     depths=(1, 2),
     window_size=3,
@@ -24,7 +25,10 @@ SMALL = dataclasses.replace(
     drop_path_rate=ModelConfig.drop_path_rate,
     dropout_rate=ModelConfig.dropout_rate,
 )
+SMALL = dataclasses.replace(small_networks.SMALL, **LARGER)
+OURS = dataclasses.replace(small_networks.SMALL_OURS, **LARGER)
 SHALLOW = dataclasses.replace(SMALL, depths=(1, 1), aggregation_layers=1)
+SHALLOW_OURS = dataclasses.replace(OURS, depths=(1, 1), aggregation_layers=1)
 
 
 def inputs(n=3, size=20, pixels=17):
@@ -36,7 +40,7 @@ def inputs(n=3, size=20, pixels=17):
 
 
 def make(config, n=3):
-    network = UniPS(config)
+    network = Network(config)
     arguments = inputs(n, config.canonical_size)
     return network, lively(network.init, *arguments)["params"], arguments
 
@@ -55,9 +59,7 @@ VARIANTS = [
 ] + [
     {"aggregation": "max"},
     {"context_sampling": "corner"},
-    {"ratio_dim": 2},
-    {"observation_dim": 4},
-    {"consensus_blocks": 2, "consensus_dim": 32},
+    {"network": "ours"},
 ]
 
 
@@ -65,9 +67,9 @@ VARIANTS = [
     "variant", VARIANTS, ids=lambda v: "-".join(map(str, v.values()))
 )
 def test_order_and_padding_of_images_do_not_matter(variant):
-    network, params, (images, observed, *places) = make(
-        dataclasses.replace(SHALLOW, **variant)
-    )
+    ours = variant == {"network": "ours"}
+    config = SHALLOW_OURS if ours else dataclasses.replace(SHALLOW, **variant)
+    network, params, (images, observed, *places) = make(config)
     apply = jax.jit(network.apply)
     plain = apply({"params": params}, images, observed, *places)
     np.testing.assert_allclose(np.linalg.norm(plain, axis=-1), 1, atol=1e-6)
@@ -90,8 +92,8 @@ def test_communication_changes_the_result(attention):
     network, params, (images, observed, *places) = make(
         dataclasses.replace(SHALLOW, attention=attention)
     )
-    contexts = network.bind({"params": params}).encoder(images)
-    changed = network.bind({"params": params}).encoder(images.at[1].mul(2))
+    encode = network.bind({"params": params}).encode
+    contexts, changed = encode(images)[0], encode(images.at[1].mul(2))[0]
     assert abs(contexts[0] - changed[0]).max() > 1e-3
 
 
@@ -150,9 +152,10 @@ def test_attention_is_a_softmax_per_head(members):
         np.testing.assert_allclose(result[..., own], weights @ v[..., own], atol=1e-4)
 
 
-def test_every_parameter_is_reached_and_remat_changes_nothing():
-    network, params, arguments = make(SMALL)
-    again = UniPS(dataclasses.replace(SMALL, remat=True))
+@pytest.mark.parametrize("config", [SMALL, OURS], ids=["paper", "ours"])
+def test_every_parameter_is_reached_and_remat_changes_nothing(config):
+    network, params, arguments = make(config)
+    again = Network(dataclasses.replace(config, remat=True))
 
     def loss(params, network):
         normals = network.apply({"params": params}, *arguments)
@@ -162,7 +165,10 @@ def test_every_parameter_is_reached_and_remat_changes_nothing():
     remat = jax.jit(jax.grad(loss), static_argnums=1)(params, again)
     # A constant added to all keys of a set drops out of the softmax.
     for name, gradient in flatten_dict(plain, sep="/").items():
-        if not name.endswith("key/bias"):
+        guess = name.startswith(
+            ("encoder/consensus/normals", "encoder/consensus/lights")
+        )
+        if not name.endswith("key/bias") and not guess:
             assert abs(gradient).max() > 0, name
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5),
@@ -172,18 +178,14 @@ def test_every_parameter_is_reached_and_remat_changes_nothing():
 
 
 def test_observations_begin_as_the_identity_and_change_the_result():
-    network, params, arguments = make(SHALLOW)
-    expected = network.apply({"params": params}, *arguments)
-    network = UniPS(dataclasses.replace(SHALLOW, observation_dim=4))
-    begun = network.init(jax.random.key(0), *arguments)["params"]["decoder"]
-    observation = begun["observation"]
-    params = params | {"decoder": params["decoder"] | {"observation": observation}}
-    np.testing.assert_array_equal(
-        network.apply({"params": params}, *arguments), expected
-    )
-    observation["change"]["bias"] = jnp.ones(2 * SHALLOW.context_dim)
-    changed = network.apply({"params": params}, *arguments)
-    assert abs(changed - expected).max() > 1e-3
+    pixels, contexts = jax.random.uniform(jax.random.key(0), (2, 5, 4, 3))
+    observation = Observation(7)
+    params = observation.init(jax.random.key(1), pixels, contexts, None)["params"]
+    begun = observation.apply({"params": params}, pixels, contexts, None)
+    np.testing.assert_array_equal(begun, contexts)
+    params["change"]["bias"] = jnp.ones(6)
+    changed = observation.apply({"params": params}, pixels, contexts, None)
+    np.testing.assert_allclose(changed, 2 * contexts + 1, rtol=1e-6)
 
 
 def test_ratios_to_the_mean_of_the_set_are_free_of_albedo():
@@ -193,7 +195,7 @@ def test_ratios_to_the_mean_of_the_set_are_free_of_albedo():
     images[..., :3] = (shading * albedo)[..., None] * (0.5, 1.0, 1.5)
     images[:, 1, 1] = 0  # outside the mask
     valid = jnp.array([True, True, True, False])  # their mean is 15
-    ratio, logarithm, mean = np.moveaxis(append_ratios(images, valid)[..., 4:], -1, 0)
+    ratio, logarithm, mean = np.moveaxis(image_ratios(images, valid), -1, 0)
     inside = images[..., 3] == 1
     expected = np.broadcast_to(shading / 15, inside.shape)[inside]
     np.testing.assert_allclose(ratio[inside], expected, rtol=0.01)
@@ -205,25 +207,20 @@ def test_ratios_to_the_mean_of_the_set_are_free_of_albedo():
 
 
 def test_ratios_begin_as_nothing_and_change_the_result():
-    network, params, arguments = make(SHALLOW)
-    expected = network.apply({"params": params}, *arguments)
-    network = UniPS(dataclasses.replace(SHALLOW, ratio_dim=2))
-    embed = network.init(jax.random.key(0), *arguments)["params"]["encoder"]
-    embed = embed["ratio_embed"]
-    params = params | {"encoder": params["encoder"] | {"ratio_embed": embed}}
-    np.testing.assert_array_equal(
-        network.apply({"params": params}, *arguments), expected
-    )
-    embed["conv4"]["kernel"] = jnp.ones_like(embed["conv4"]["kernel"])
+    network, params, arguments = make(SHALLOW_OURS)
+    begun = init_params(SHALLOW_OURS, jax.random.key(0))["encoder"]["ratio_embed"]
+    embed = network.bind({"params": {"encoder": {"ratio_embed": begun}}}).encoder
+    assert not np.any(embed.ratio_embed(arguments[0]))
+    nothing = params | {"encoder": params["encoder"] | {"ratio_embed": begun}}
+    expected = network.apply({"params": nothing}, *arguments)
     changed = network.apply({"params": params}, *arguments)
     assert abs(changed - expected).max() > 1e-3
 
 
-@pytest.mark.parametrize("linear", [False, True])
-def test_linear_pooling_cannot_cut_off_the_coarsest_stage(linear):
-    network, params, arguments = make(
-        dataclasses.replace(SHALLOW, linear_pooling=linear)
-    )
+@pytest.mark.parametrize("config", [SHALLOW, SHALLOW_OURS], ids=["paper", "ours"])
+def test_linear_pooling_cannot_cut_off_the_coarsest_stage(config):
+    linear = config is SHALLOW_OURS
+    network, params, arguments = make(config)
     bottleneck = params["encoder"]["fusion"]["ppm_bottleneck"]
     bottleneck |= {"kernel": bottleneck["kernel"] * 1e-3, "bias": jnp.full(8, -0.1)}
     branch = params["encoder"]["fusion"]["ppm0"]
@@ -261,7 +258,7 @@ def test_dropout_acts_in_training_only():
 
 def test_bfloat16_stays_near():
     network, params, arguments = make(SMALL)
-    half = UniPS(dataclasses.replace(SMALL, dtype="bfloat16"))
+    half = Network(dataclasses.replace(SMALL, dtype="bfloat16"))
     exact = jax.jit(network.apply)({"params": params}, *arguments)
     rounded = jax.jit(half.apply)({"params": params}, *arguments)
     assert rounded.dtype == jnp.float32
@@ -271,10 +268,10 @@ def test_bfloat16_stays_near():
 def test_paper_size():
     def count(config):
         arguments = inputs(2, config.canonical_size)
-        shapes = jax.eval_shape(UniPS(config).init, jax.random.key(0), *arguments)
+        shapes = jax.eval_shape(Network(config).init, jax.random.key(0), *arguments)
         return sum(x.size for x in jax.tree.leaves(shapes))
 
-    official = ModelConfig(attention="released", aggregation_layers=4)
+    official = ModelConfig.released()
     assert count(official) == 69_400_883
     assert count(dataclasses.replace(official, communication="none")) < 69_400_883
 
@@ -283,31 +280,70 @@ def test_paper_size():
     ("changes", "field"),
     [
         ({"canonical_size": 30}, "canonical_size"),
+        ({"canonical_size": 10**6}, "canonical_size: expected at most"),
         ({"num_heads": (3, 6)}, "num_heads"),
         ({"num_heads": (5, 6, 12, 24)}, "num_heads[0]"),
         ({"communication_heads": 7}, "communication_heads"),
         ({"communication": "post", "context_dim": 100}, "communication_heads"),
         ({"aggregation_heads": 7}, "aggregation_heads"),
-        ({"attention": "mine"}, "attention"),
+        ({"attention": "mine"}, "attention: expected one of ('pre_norm', 'released')"),
         ({"dropout_rate": 1.5}, "dropout_rate"),
+        ({"mlp_ratio": float("nan")}, "mlp_ratio: expected a positive number"),
         ({"depths": (2, 0, 4, 2)}, "depths"),
-        ({"depths": [2, 2, 18, 2]}, "depths: expected a tuple"),
-        ({"pool_scales": 3}, "pool_scales: expected a tuple"),
-        ({"num_heads": (3, 6, 12, 0)}, "num_heads: expected a tuple of positive"),
-        ({"patch_channels": (48,)}, "patch_channels: expected two widths"),
+        ({"depths": (10**7, 2, 2, 2)}, "depths: expected one to eight numbers"),
+        ({"depths": [2, 2, 18, 2]}, "depths: expected tuple[int, ...], got [2"),
+        ({"pool_scales": 3}, "pool_scales: expected tuple[int, ...], got 3"),
+        ({"num_heads": (3, 6, 12, 0)}, "num_heads: expected one to eight numbers"),
+        ({"num_heads": (3, 6, 12, 2.5)}, "num_heads: expected tuple[int, ...]"),
+        ({"patch_channels": (48,)}, "patch_channels: expected tuple[int, int]"),
         ({"aggregation_layers": -1}, "aggregation_layers"),
-        ({"ratio_dim": -1}, "ratio_dim"),
-        ({"observation_dim": -1}, "observation_dim"),
-        ({"consensus_blocks": -1}, "consensus_blocks"),
-        ({"consensus_dim": 48}, "consensus_dim: expected a multiple of 32, got 48"),
+        ({"embed_dim": "96"}, "embed_dim: expected int, got '96'"),
     ],
 )
 def test_configuration_errors_name_the_field(changes, field):
-    with pytest.raises(ValueError, match=field.replace("[", r"\[")):
-        dataclasses.replace(ModelConfig(), **changes)
+    with pytest.raises(ValueError, match=re.escape(field)):
+        dataclasses.replace(ModelConfig.paper(), **changes)
 
 
-def test_configuration_survives_json():
-    assert from_json(ModelConfig, to_json(SMALL)) == SMALL
-    with pytest.raises(ValueError, match="unknown fields"):
-        from_json(ModelConfig, '{"canonical_sice": 3}')
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"ratio_dim": 0}, "ratio_dim"),
+        ({"observation_dim": -1}, "observation_dim"),
+        ({"consensus_blocks": 0}, "consensus_blocks"),
+        ({"consensus_dim": 48}, "consensus_dim: expected a multiple of 32, got 48"),
+    ],
+)
+def test_our_configuration_errors_name_the_field(changes, field):
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(ModelConfig.tiny(), **changes)
+
+
+def test_no_network_is_between_the_two():
+    """What the one has, the other does not take; what they share is no network."""
+    with pytest.raises(TypeError, match="communication"):
+        dataclasses.replace(ModelConfig.tiny(), communication="pre")
+    with pytest.raises(TypeError, match="ratio_dim"):
+        dataclasses.replace(ModelConfig.paper(), ratio_dim=4)
+    with pytest.raises(ValueError, match="expected one of the networks"):
+        ModelConfig()
+
+
+@pytest.mark.parametrize("config", [SMALL, OURS], ids=["paper", "ours"])
+def test_configuration_survives_json(config):
+    assert from_json(ModelConfig, to_json(config)) == config
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"network": "unips", "canonical_sice": 3}', "unknown fields"),
+        ('{"canonical_size": 96}', "expected a network, one of .* another version"),
+        ('{"network": ["unips"]}', "expected a network, one of"),
+        ("[]", "expected a JSON object"),
+        ("[" * 10**5, "too deep a nest"),
+    ],
+)
+def test_configurations_of_others_are_refused(text, message):
+    with pytest.raises(ValueError, match=message):
+        from_json(ModelConfig, text)

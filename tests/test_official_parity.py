@@ -15,9 +15,10 @@ from flax.traverse_util import flatten_dict
 from unips_jax import estimate_normals
 from unips_jax.metrics import angular_error_deg
 from unips_jax.models import ops
-from unips_jax.models.unips import UniPS
+from unips_jax.models.encoding import communicate
+from unips_jax.models.network import Network, read_contexts
+from unips_jax.models.released import from_official, official_name
 from unips_jax.training.loss import training_loss
-from unips_jax.weights import from_official, official_name
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -55,7 +56,7 @@ def golden():
 def computed(official, golden):
     """Every intermediate array, by the golden file's names."""
     config, params = official
-    network = UniPS(config)
+    network = Network(config)
 
     @jax.jit
     def encode(params, images, mask):
@@ -64,23 +65,28 @@ def computed(official, golden):
         inputs = jnp.concatenate(
             [inputs * small, jnp.broadcast_to(small, (3, 64, 64, 1))], axis=-1
         )
-        bound = network.bind({"params": params})
-        maps = bound.encoder.extract(bound.encoder.embed(inputs))
-        shared = [bound.encoder.communicate(x, i, None) for i, x in enumerate(maps)]
-        out = {"patch_embed": bound.encoder.patch_embed(inputs)}
-        out |= {f"swin_{i}": x for i, x in enumerate(maps)}
-        out |= {f"comm_{i}": x for i, x in enumerate(shared)}
-        return out | {"glc": bound.encoder.fuse(shared)}
+        encoder = network.bind({"params": params}).encoder
+        x = encoder.patch_embed(inputs)
+        out = {"patch_embed": x}
+        for i, (stage, norm) in enumerate(
+            zip(encoder.stages, encoder.norms, strict=True)
+        ):
+            x = stage(x, True)
+            out[f"swin_{i}"] = level = norm(x)
+            block = encoder.communications[i]
+            out[f"comm_{i}"] = communicate(block, level, 3, None, True)
+        return out | {"glc": encoder(inputs).contexts}
 
     arrays = encode(params, golden["images"], golden["mask"])
     y, x = golden["pixels_yx"].T
 
     @jax.jit
     def decode(params, contexts, pixels):
-        bound = network.bind({"params": params})
-        sampled = bound.sample(contexts, y * 16 / 96 - 0.5, x * 16 / 96 - 0.5)
-        features = bound.decoder.aggregate(pixels, sampled)
-        return features, bound.decoder.predict(features)
+        decoder = network.bind({"params": params}).decoder
+        cells = y * 16 / 96 - 0.5, x * 16 / 96 - 0.5
+        read = read_contexts(contexts, *cells, config=config).swapaxes(0, 1)
+        features = decoder.aggregation(pixels, read)
+        return features, decoder.prediction(features)
 
     pixels = golden["images"][:, y, x].transpose(1, 0, 2)
     features, predicted = decode(params, arrays["glc"], pixels)

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
-from small_networks import SMALL
+from small_networks import SMALL, SMALL_OURS
 from test_baselines_gcnet import made_up
 from test_official_parity import official_arrays
 
@@ -42,7 +42,7 @@ def test_unips(convert, tmp_path, prefix):
     assert convert([str(tmp_path), "-o", str(output)]) == 0
     config, params = load_weights(output)
     assert config.attention == "released"
-    kernel = params["decoder"]["fc2"]["kernel"]
+    kernel = params["decoder"]["prediction"]["fc2"]["kernel"]
     source = states["prediction"][f"{prefix}regression.2.weight"].numpy()
     np.testing.assert_array_equal(kernel, source.T)
 
@@ -88,26 +88,28 @@ def test_benchmark_refuses_what_it_would_ignore(capsys):
 
 
 @pytest.mark.parametrize(
-    "changes",
+    "config",
     [
-        {},
-        {"attention": "released"},
-        {"observation_dim": 5},
-        {"context_dim": SMALL.hidden_dim - 3},
-        {"aggregation": "max"},
-        {"aggregation_layers": 0, "context_dim": SMALL.hidden_dim - 3},
+        SMALL,
+        dataclasses.replace(SMALL, attention="released"),
+        dataclasses.replace(SMALL_OURS, observation_dim=5),
+        dataclasses.replace(SMALL, context_dim=SMALL.hidden_dim - 3),
+        dataclasses.replace(SMALL, aggregation="max"),
+        dataclasses.replace(
+            SMALL, aggregation_layers=0, context_dim=SMALL.hidden_dim - 3
+        ),
     ],
 )
-def test_benchmark_counts_every_layer_of_the_decoder(changes):
+def test_benchmark_counts_every_layer_of_the_decoder(config):
     count = runpy.run_path(str(TOOLS / "benchmark.py"))["decoder_operations"]
-    config = dataclasses.replace(SMALL, **changes)
     shapes = jax.eval_shape(lambda: random_weights(config))["decoder"]
     kernels = {
         name: kernel.size
         for name, kernel in flatten_dict(shapes, sep=".").items()
         if name.endswith("kernel")
     }
-    once = ("fc1", "fc2", "pooling.query", "pooling.out", "pooling.mlp")  # per pixel
+    pooling = ("aggregation.pooling." + name for name in ("query", "out", "mlp"))
+    once = ("prediction", *pooling)  # per pixel
     each = [size for name, size in kernels.items() if not name.startswith(once)]
     assert count(config) == 2 * sum(each)
 
@@ -133,11 +135,13 @@ def test_only_better_weights_are_shipped(better, tmp_path, monkeypatch, capsys):
     untouched = old.read_bytes()
 
     def validate(params, *_, num_images, **__):
-        is_new = np.allclose(params["decoder"]["fc2"]["kernel"], kernel_of(second))
+        is_new = np.allclose(
+            params["decoder"]["prediction"]["fc2"]["kernel"], kernel_of(second)
+        )
         return {"mae": 20 / num_images - (is_new and better), "constant": 40}
 
     def kernel_of(params):
-        return np.float16(params["decoder"]["fc2"]["kernel"])
+        return np.float16(params["decoder"]["prediction"]["fc2"]["kernel"])
 
     monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", validate)
     assert ship([str(new), "--over", str(old), "--images", "8", "2"]) == 0
@@ -148,7 +152,7 @@ def test_only_better_weights_are_shipped(better, tmp_path, monkeypatch, capsys):
     record = weights_record(old)
     assert record["steps"] == {"all scenes": 42}
     assert record["scores"]["mae_deg"]["8"] == 1.5
-    kernel = load_weights(old)[1]["decoder"]["fc2"]["kernel"]
+    kernel = load_weights(old)[1]["decoder"]["prediction"]["fc2"]["kernel"]
     np.testing.assert_array_equal(kernel, kernel_of(second))
 
 
@@ -158,17 +162,17 @@ def test_the_mean_of_old_and_new_weights_can_be_shipped(tmp_path, monkeypatch, c
     networks = [random_weights(SMALL, seed=seed) for seed in (0, 1)]
     save_weights(old, SMALL, networks[0], record={"steps": {"all scenes": 40}})
     save_weights(new, SMALL, networks[1], record={"step": 2})
-    kernels = [params["decoder"]["fc2"]["kernel"] for params in networks]
+    kernels = [params["decoder"]["prediction"]["fc2"]["kernel"] for params in networks]
     mean = (kernels[0] + kernels[1]) / 2
 
     def validate(params, *_, **__):
-        kernel = params["decoder"]["fc2"]["kernel"]
+        kernel = params["decoder"]["prediction"]["fc2"]["kernel"]
         return {"mae": float(np.abs(kernel - mean).max()), "constant": 40}
 
     monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", validate)
     argv = [str(new), "--over", str(old), "--images", "8", "--average"]
     assert ship(argv) == 0
-    kernel = load_weights(old)[1]["decoder"]["fc2"]["kernel"]
+    kernel = load_weights(old)[1]["decoder"]["prediction"]["fc2"]["kernel"]
     np.testing.assert_allclose(kernel, mean, atol=1e-3)
 
     other = dataclasses.replace(SMALL, hidden_dim=2 * SMALL.hidden_dim)

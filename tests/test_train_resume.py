@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+from small_networks import SMALL_OURS
 from training_runs import (
     CONFIG,
     DATA,
@@ -103,7 +104,7 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(
             DATA, source="mixture", root=folders, num_images=(2, 3)
         )
         # Scenes tell where their lights are, folders do not.
-        model = dataclasses.replace(CONFIG.model, consensus_blocks=2, consensus_dim=32)
+        model = dataclasses.replace(SMALL_OURS, depths=(1,), num_heads=(2,))
         config = dataclasses.replace(CONFIG, data=data, model=model)
         whole = tmp_path / "whole"
         finish(start(whole, config))

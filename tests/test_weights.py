@@ -6,11 +6,11 @@ from flax.traverse_util import flatten_dict
 from safetensors.numpy import save_file
 from small_networks import SMALL, lively_weights
 
+from unips_jax.config import ModelConfig
 from unips_jax.errors import InputError
+from unips_jax.models.released import from_official, official_name
 from unips_jax.weights import (
-    from_official,
     load_weights,
-    official_name,
     params_hash,
     save_weights,
     weights_record,
@@ -31,6 +31,10 @@ def test_round_trip(tmp_path):
     assert record["score"] == 9.5
     assert record["hash"] == params_hash(SMALL, params)
     assert [p.name for p in tmp_path.iterdir()] == ["small.safetensors"]
+
+
+def test_shipped_weights_are_those_of_tiny():
+    assert load_weights("tiny")[0] == ModelConfig.tiny()
 
 
 def test_half_precision_is_float32_in_memory(tmp_path):
@@ -69,14 +73,18 @@ def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
 
 def test_all_problems_are_named_at_once(tmp_path):
     params = flatten_dict(lively_weights(), sep=".")
-    params.pop("decoder.fc1.bias")
-    params["decoder.fc2.bias"] = np.zeros(4)
-    params["decoder.fc9.bias"] = np.zeros(4)
+    params.pop("decoder.prediction.fc1.bias")
+    params["decoder.prediction.fc2.bias"] = np.zeros(4)
+    params["decoder.prediction.fc9.bias"] = np.zeros(4)
     path = tmp_path / "wrong.safetensors"
     save_weights(path, SMALL, params)
     with pytest.raises(InputError) as raised:
         load_weights(path)
-    for name in ("decoder.fc1.bias", "decoder.fc2.bias (4,)", "decoder.fc9.bias"):
+    for name in (
+        "decoder.prediction.fc1.bias",
+        "decoder.prediction.fc2.bias (4,)",
+        "decoder.prediction.fc9.bias",
+    ):
         assert name in str(raised.value)
 
 

@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import unips_jax
-from unips_jax.config import ModelConfig
+from unips_jax.config import ModelConfig, SelfCalibratingConfig, UniPSConfig
 from unips_jax.console import command, keep_compiled
 from unips_jax.errors import InputError
 from unips_jax.estimation.pure import estimate_normals
@@ -41,7 +41,7 @@ from unips_jax.training.compilation import (
 from unips_jax.training.config import Config, DataConfig
 from unips_jax.training.state import new_state
 from unips_jax.training.step import train_step
-from unips_jax.weights import OFFICIAL_CONFIG, random_weights
+from unips_jax.weights import random_weights
 
 # Rows of the plain products: enough for their full rate.
 _ROWS = 4096
@@ -54,17 +54,20 @@ def decoder_operations(config: ModelConfig) -> float:
     of the images, is left out.
     """
     total, width = 0.0, 3 + config.context_dim
-    if config.observation_dim:  # from three times RGB to scale and shift
+    paper = config if isinstance(config, UniPSConfig) else ModelConfig.paper()
+    if isinstance(
+        config, SelfCalibratingConfig
+    ):  # from three times RGB to scale and shift
         total += config.observation_dim * (9 + 2 * config.context_dim)
     for _ in range(config.aggregation_layers):
         total += 3 * width * config.hidden_dim
         total += 2 * config.hidden_dim * config.aggregation_mlp_dim
-        if config.attention == "pre_norm":
+        if paper.attention == "pre_norm":
             total += config.hidden_dim**2
             if width != config.hidden_dim:  # the residual's projection
                 total += width * config.hidden_dim
         width = config.hidden_dim
-    if config.aggregation == "pma":  # keys and values
+    if paper.aggregation == "pma":  # keys and values
         total += 2 * width * config.hidden_dim
     return 2 * total
 
@@ -74,14 +77,14 @@ def encoder_operations(config: ModelConfig, images: int) -> float:
 
     As the compiler counts them; padded windows count as what they are.
     """
-    from unips_jax.models.unips import UniPS
+    from unips_jax.models.network import Network
 
     size = config.canonical_size
     inputs = jax.ShapeDtypeStruct((images, size, size, 4), jnp.float32)
     params = jax.eval_shape(functools.partial(random_weights, config))
 
-    def run(params: Any, inputs: jax.Array) -> jax.Array:
-        return UniPS(config).bind({"params": params}).encoder(inputs)
+    def run(params: Any, inputs: jax.Array) -> Any:
+        return Network(config).apply({"params": params}, inputs, method="encode")
 
     cost = jax.jit(run).lower(params, inputs).cost_analysis()
     return float(cost["flops"]) if cost else float("nan")
@@ -193,7 +196,7 @@ def training_batch(config: Config, images: int) -> dict[str, jax.Array]:
     normals = np.zeros((data.image_size,) * 2 + (3,), np.float32)
     normals[..., 2] = 1
     one = {"images": stack, "mask": mask, "normals": normals}
-    if config.model.consensus_blocks:
+    if config.model.guesses:
         one["lights"] = np.zeros((images, 3), np.float32)
     return {
         name: jnp.asarray(np.broadcast_to(value, (data.batch_size, *value.shape)))
@@ -278,7 +281,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     keep_compiled()
     if official:
         data = DataConfig(image_size=size, batch_size=1)
-        config = Config(model=OFFICIAL_CONFIG, data=data)
+        config = Config(model=ModelConfig.released(), data=data)
     else:
         config = load_config(arguments.config)
     if arguments.objects is not None:

@@ -17,7 +17,8 @@ import numpy as np
 from unips_jax.baselines.gcnet import weights as gcnet_weights
 from unips_jax.console import command
 from unips_jax.errors import InputError
-from unips_jax.weights import from_official, save_weights
+from unips_jax.models.released import from_official
+from unips_jax.weights import save_weights
 
 # The part of the network in each file, by the end of its name.
 PARTS = {"enc": "encoder", "agg": "aggregation", "pred": "prediction"}

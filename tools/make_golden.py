@@ -21,15 +21,15 @@ import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 
 from unips_jax import estimate_normals
-from unips_jax.config import ModelConfig
+from unips_jax.config import UniPSConfig
 from unips_jax.console import command
 from unips_jax.estimation.frame import canonical_images, normalize_images, square_frame
 from unips_jax.estimation.pure import encode
+from unips_jax.models.network import init_params
 from unips_jax.training.loss import training_loss
-from unips_jax.weights import init_params
 
 CONFIGS = {
-    attention: ModelConfig(
+    attention: UniPSConfig(
         canonical_size=16,
         patch_channels=(3, 5),
         embed_dim=8,
@@ -58,7 +58,7 @@ def draw(name: str, shape: tuple[int, ...]) -> np.ndarray:
     return generator.standard_normal(shape).astype(np.float32)
 
 
-def golden_arrays(config: ModelConfig) -> dict[str, np.ndarray]:
+def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
     """What is kept of a network.
 
     Args:

@@ -1,18 +1,19 @@
-"""Configuration: frozen dataclasses, checked on construction, saved as JSON.
+"""The networks' configurations: frozen dataclasses, checked, saved as JSON.
 
-`ModelConfig` sizes the network and is stored inside every weights file; `Config`
-describes a training run and is saved with every checkpoint. The defaults of
-`ModelConfig` are the paper's (UniPS, Ikehata, CVPR 2022, Sec. 4 and supplement).
+Two networks exist, and no others can be built: the paper's (UniPS, Ikehata, CVPR 2022,
+Sec. 4 and supplement) with its ablations and the authors' arithmetic, `UniPSConfig`;
+and ours, `SelfCalibratingConfig`. `ModelConfig` is what they share, and has the sizes
+in use as constructors. It is stored inside every weights file and checkpoint.
 """
 
 import dataclasses
 import json
-from collections.abc import Mapping
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from unips_jax.checks import (
+    check_types,
     require,
-    require_choice,
+    require_at_most,
     require_not_negative,
     require_positive,
 )
@@ -22,90 +23,63 @@ _T = TypeVar("_T")
 
 @dataclasses.dataclass(frozen=True)
 class ModelConfig:
-    """Sizes and variants of the network.
+    """Sizes that both networks have; the defaults are the paper's.
 
     Attributes:
+        network: which network it is; follows from the class.
         canonical_size: side in pixels of the images the encoder sees; a multiple of 4.
-        antialias: resize them with antialiasing, so that contexts depend little on the
-            photographs' resolution (the paper does not).
         patch_channels: widths of the patch embedding's first two pairs of
             convolutions (the last width is `embed_dim`).
         embed_dim: channels of Swin's first stage; doubles at every stage.
-        ratio_dim: width of a second patch embedding, of each image's ratio to the mean
-            of its set, which no albedo changes; 0: none (the paper's network).
         depths: Swin blocks per stage.
         num_heads: attention heads per Swin stage; must divide the stage's channels.
         window_size: side of Swin's windows, in tokens.
         mlp_ratio: hidden width of Swin's MLPs over their input width.
         drop_path_rate: stochastic depth of the last Swin block, rising linearly from 0.
-        communication: where the images exchange features: between backbone and
-            fusion ("pre", the paper's choice), after every Swin stage ("during"),
-            after fusion ("post") or nowhere ("none"). Paper Sec. 4.1 and Table 3.
-        communication_heads: attention heads of the communication blocks.
-        communication_mlp_ratio: hidden width of their MLPs over the input width.
+        communication_heads: attention heads of the communication between images.
+        communication_mlp_ratio: hidden width of its MLPs over the input width.
         context_dim: channels of the global lighting contexts (UPerNet's width).
         pool_scales: bins per side of the pyramid pooling module.
-        linear_pooling: no ReLUs in and after that module (the paper's network has
-            them). Where they are all off, the coarsest stage is cut off for good.
-        attention: arithmetic of set attention: "pre_norm" is the paper's standard
-            Transformer layer, "released" what the authors' network computes.
-        aggregation: how a pixel's set becomes one vector: "pma" or "max".
-        aggregation_layers: set-attention layers before it.
-        hidden_dim: width of the aggregation.
+        aggregation_layers: set-attention layers of the aggregation.
+        hidden_dim: its width.
         aggregation_heads: its attention heads.
         aggregation_mlp_dim: hidden width of its MLPs.
         pma_mlp_dim: hidden width of the MLP in the pooling by attention.
         predictor_dim: hidden width of the normal predictor.
-        observation_dim: width of an embedding of a pixel's observations, set beside
-            their mean over the images, that scales and shifts its contexts; 0: none
-            (the paper's network).
-        consensus_blocks: blocks of attention over the one map that all images of a set
-            share, our addition to the encoder (see `models.consensus`); 0: none. They
-            attend to the whole map: their cost grows as canonical_size**4.
-        consensus_dim: their width, a multiple of 32.
         dropout_rate: dropout in set attention, training only.
-        context_sampling: where a pixel reads the contexts: at its centre ("center",
-            clamped at the border) or at its corner with zeros beyond the border
-            ("corner", half a pixel off, as the authors' weights need).
-        mirror: estimate from the mirrored images too, and average, so that mirrored
-            images give exactly the mirrored normals; takes twice the time. Not in the
-            paper, and not part of training.
         dtype: compute type; parameters stay float32 ("float64", for checks, needs
             `jax_enable_x64`).
         remat: recompute Swin blocks and set attention in the backward pass, for memory
-            (on CPU Swin only, a few images at a time).
+            (on CPU the encoder's parts, a few images at a time).
     """
 
+    # Of the network itself, not to choose: whether images are resized for the encoder
+    # with antialiasing, whether normals are the mean over images and mirrored images,
+    # and whether the encoder guesses normals and lights on its way.
+    antialias: ClassVar[bool] = False
+    mirror: ClassVar[bool] = False
+    guesses: ClassVar[bool] = False
+
+    network: str = dataclasses.field(init=False, default="")
     canonical_size: int = 256
-    antialias: bool = False
     patch_channels: tuple[int, int] = (48, 96)
     embed_dim: int = 96
-    ratio_dim: int = 0
     depths: tuple[int, ...] = (2, 2, 18, 2)
     num_heads: tuple[int, ...] = (3, 6, 12, 24)
     window_size: int = 7
     mlp_ratio: float = 4.0
     drop_path_rate: float = 0.2
-    communication: Literal["none", "during", "pre", "post"] = "pre"
     communication_heads: int = 8
     communication_mlp_ratio: float = 2.0
     context_dim: int = 256
     pool_scales: tuple[int, ...] = (1, 2, 3, 6)
-    linear_pooling: bool = False
-    attention: Literal["pre_norm", "released"] = "pre_norm"
-    aggregation: Literal["pma", "max"] = "pma"
     aggregation_layers: int = 3
     hidden_dim: int = 384
     aggregation_heads: int = 8
     aggregation_mlp_dim: int = 1024
     pma_mlp_dim: int = 512
     predictor_dim: int = 192
-    observation_dim: int = 0
-    consensus_blocks: int = 0
-    consensus_dim: int = 128
     dropout_rate: float = 0.1
-    context_sampling: Literal["center", "corner"] = "center"
-    mirror: bool = False
     dtype: Literal["float32", "bfloat16", "float64"] = "float32"
     remat: bool = False
 
@@ -115,79 +89,234 @@ class ModelConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
-        require_positive(
-            self,
-            *("canonical_size", "embed_dim", "window_size", "mlp_ratio"),
-            *("communication_heads", "communication_mlp_ratio", "context_dim"),
-            *("hidden_dim", "aggregation_heads", "aggregation_mlp_dim"),
-            *("pma_mlp_dim", "predictor_dim"),
+        require(
+            self.network in _NETWORKS,
+            "ModelConfig: expected one of the networks, from ModelConfig.paper(), "
+            ".released(), .tiny() or .small(), got what they share",
         )
-        require_not_negative(
-            self,
-            *("ratio_dim", "aggregation_layers", "observation_dim"),
-            "consensus_blocks",
-        )
-        for name in ("patch_channels", "depths", "num_heads", "pool_scales"):
+        check_types(self)
+        sizes = ("canonical_size", "embed_dim", "window_size", "context_dim")
+        widths = ("hidden_dim", "aggregation_mlp_dim", "pma_mlp_dim", "predictor_dim")
+        heads = ("communication_heads", "aggregation_heads")
+        ratios = ("mlp_ratio", "communication_mlp_ratio")
+        require_positive(self, *sizes, *widths, *heads, *ratios)
+        require_not_negative(self, "aggregation_layers")
+        # Beyond these a file is damaged or hostile: memory would grow without bound.
+        require_at_most(self, 2048, "canonical_size")
+        require_at_most(self, 32, "window_size")
+        require_at_most(self, 100, "aggregation_layers", *ratios)
+        require_at_most(self, 2**14, "embed_dim", "context_dim", *widths)
+        for name, most in (
+            *(("patch_channels", 2**14), ("depths", 100)),
+            *(("num_heads", 2**14), ("pool_scales", 64)),
+        ):
             values = getattr(self, name)
             require(
-                isinstance(values, tuple) and min(values, default=1) >= 1,
-                f"{name}: expected a tuple of positive numbers, got {values!r}",
+                1 <= len(values) <= 8 and min(values) >= 1 and max(values) <= most,
+                f"{name}: expected one to eight numbers from 1 to {most}, got "
+                f"{values!r:.200}",
             )
-        require(
-            len(self.patch_channels) == 2,
-            f"patch_channels: expected two widths, got {self.patch_channels}",
-        )
         require(
             self.canonical_size % 4 == 0,
             f"canonical_size: expected a multiple of 4, got {self.canonical_size}",
         )
         require(
-            len(self.depths) == len(self.num_heads) >= 1,
+            len(self.depths) == len(self.num_heads),
             f"depths and num_heads: expected one entry per stage in both, got "
             f"{self.depths} and {self.num_heads}",
         )
-        for stage, heads in enumerate(self.num_heads):
-            dim = self.stage_dim(stage)
-            require(
-                dim % heads == 0,
-                f"num_heads[{stage}]: expected a divisor of the stage's {dim} "
-                f"channels, got {heads}",
-            )
-            require(
-                self.communication not in ("pre", "during")
-                or dim % self.communication_heads == 0,
-                f"communication_heads: expected a divisor of stage {stage}'s {dim} "
-                f"channels, got {self.communication_heads}",
-            )
-        require(
-            self.communication != "post"
-            or self.context_dim % self.communication_heads == 0,
-            f"communication_heads: expected a divisor of "
-            f"context_dim={self.context_dim}, got {self.communication_heads}",
-        )
-        require(
-            self.hidden_dim % self.aggregation_heads == 0,
-            f"aggregation_heads: expected a divisor of hidden_dim={self.hidden_dim}, "
-            f"got {self.aggregation_heads}",
-        )
-        require(
-            self.consensus_dim >= 32 and self.consensus_dim % 32 == 0,
-            f"consensus_dim: expected a multiple of 32, got {self.consensus_dim}",
+        for stage, count in enumerate(self.num_heads):
+            self._require_divisor(f"num_heads[{stage}]", count, self.stage_dim(stage))
+        for dim in self.communication_dims:
+            self._require_divisor("communication_heads", self.communication_heads, dim)
+        self._require_divisor(
+            "aggregation_heads", self.aggregation_heads, self.hidden_dim
         )
         for name in ("drop_path_rate", "dropout_rate"):
             rate = getattr(self, name)
             require(0 <= rate < 1, f"{name}: expected a rate in [0, 1), got {rate}")
-        require_choice(
-            "communication", self.communication, ("none", "during", "pre", "post")
+
+    @staticmethod
+    def _require_divisor(name: str, heads: int, channels: int) -> None:
+        require(
+            channels % heads == 0,
+            f"{name}: expected a divisor of the {channels} channels, got {heads}",
         )
-        require_choice("attention", self.attention, ("pre_norm", "released"))
-        require_choice("aggregation", self.aggregation, ("pma", "max"))
-        require_choice("context_sampling", self.context_sampling, ("center", "corner"))
-        require_choice("dtype", self.dtype, ("float32", "bfloat16", "float64"))
 
     def stage_dim(self, stage: int) -> int:
         """Channels of Swin's stage number `stage`, counted from 0."""
         return self.embed_dim * 2**stage
+
+    @property
+    def stage_dims(self) -> list[int]:
+        """Channels of each of Swin's stages."""
+        return [self.stage_dim(stage) for stage in range(len(self.depths))]
+
+    @property
+    def communication_dims(self) -> list[int]:
+        """Channels of each map at which the images of a set communicate."""
+        return self.stage_dims
+
+    @property
+    def num_blocks(self) -> int:
+        """Transformer blocks of which the configuration says how many there are."""
+        return sum(self.depths) + self.aggregation_layers
+
+    @property
+    def context_size(self) -> int:
+        """Side of the contexts' grid, in cells."""
+        return self.canonical_size // 4
+
+    @property
+    def reads_at_corners(self) -> bool:
+        """Whether a pixel reads the contexts at its corner, with zeros around them."""
+        return False
+
+    @staticmethod
+    def paper() -> "UniPSConfig":
+        """The paper's network: 72 M parameters."""
+        return UniPSConfig()
+
+    @staticmethod
+    def released() -> "UniPSConfig":
+        """What the authors' released weights need: 69 M parameters."""
+        return UniPSConfig(
+            attention="released", aggregation_layers=4, context_sampling="corner"
+        )
+
+    @staticmethod
+    def tiny() -> "SelfCalibratingConfig":
+        """Our network in the size of the shipped weights: 7 M parameters."""
+        return SelfCalibratingConfig(
+            canonical_size=96,
+            patch_channels=(24, 64),
+            embed_dim=64,
+            ratio_dim=16,
+            depths=(2, 6, 3),
+            num_heads=(2, 4, 8),
+            window_size=6,
+            drop_path_rate=0.0,
+            context_dim=64,
+            pool_scales=(1, 2),
+            consensus_blocks=6,
+            consensus_dim=128,
+            observation_dim=64,
+            hidden_dim=128,
+            aggregation_heads=4,
+            aggregation_mlp_dim=256,
+            pma_mlp_dim=256,
+            predictor_dim=128,
+            dropout_rate=0.0,
+        )
+
+    @staticmethod
+    def small() -> "SelfCalibratingConfig":
+        """Our network for one GPU: 23 M parameters."""
+        return SelfCalibratingConfig(
+            canonical_size=128,
+            patch_channels=(32, 96),
+            embed_dim=96,
+            ratio_dim=24,
+            depths=(2, 2, 6),
+            num_heads=(3, 6, 12),
+            window_size=8,
+            drop_path_rate=0.1,
+            context_dim=128,
+            pool_scales=(1, 2, 3),
+            consensus_blocks=6,
+            consensus_dim=256,
+            observation_dim=128,
+            hidden_dim=256,
+            aggregation_heads=8,
+            aggregation_mlp_dim=512,
+            pma_mlp_dim=512,
+            predictor_dim=192,
+            dropout_rate=0.0,
+            dtype="bfloat16",
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class UniPSConfig(ModelConfig):
+    """The paper's network, its ablations, and the authors' arithmetic.
+
+    Attributes:
+        communication: where the images exchange features: between backbone and
+            fusion ("pre", the paper's choice), after every Swin stage ("during"),
+            after fusion ("post") or nowhere ("none"). Paper Sec. 4.1 and Table 3.
+        attention: arithmetic of set attention: "pre_norm" is the paper's standard
+            Transformer layer, "released" what the authors' network computes.
+        aggregation: how a pixel's set becomes one vector: "pma" or "max".
+        context_sampling: where a pixel reads the contexts: at its centre ("center",
+            clamped at the border) or at its corner with zeros beyond the border
+            ("corner", half a pixel off, as the authors' weights need).
+    """
+
+    network: str = dataclasses.field(init=False, default="unips")
+    communication: Literal["none", "during", "pre", "post"] = "pre"
+    attention: Literal["pre_norm", "released"] = "pre_norm"
+    aggregation: Literal["pma", "max"] = "pma"
+    context_sampling: Literal["center", "corner"] = "center"
+
+    @property
+    def communication_dims(self) -> list[int]:
+        """Channels of each map at which the images of a set communicate."""
+        if self.communication == "none":
+            return []
+        return [self.context_dim] if self.communication == "post" else self.stage_dims
+
+    @property
+    def reads_at_corners(self) -> bool:
+        """Whether a pixel reads the contexts at its corner, with zeros around them."""
+        return self.context_sampling == "corner"
+
+
+@dataclasses.dataclass(frozen=True)
+class SelfCalibratingConfig(ModelConfig):
+    """Our network, which finds each image's light on its way (see `models`).
+
+    Attributes:
+        ratio_dim: width of the patch embedding of each image's ratio to its set's mean.
+        consensus_blocks: blocks of attention over the one map that all images of a set
+            share. They attend to the whole map: their cost grows as canonical_size**4.
+        consensus_dim: their width, a multiple of 32.
+        observation_dim: width of the embedding of a pixel's observations, that scales
+            and shifts its contexts.
+    """
+
+    antialias: ClassVar[bool] = True
+    mirror: ClassVar[bool] = True
+    guesses: ClassVar[bool] = True
+
+    network: str = dataclasses.field(init=False, default="self_calibrating")
+    ratio_dim: int = 24
+    consensus_blocks: int = 6
+    consensus_dim: int = 256
+    observation_dim: int = 128
+
+    def __post_init__(self) -> None:
+        """Checks every field.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        super().__post_init__()
+        widths = ("ratio_dim", "consensus_dim", "observation_dim")
+        require_positive(self, *widths, "consensus_blocks")
+        require_at_most(self, 2**14, *widths)
+        require_at_most(self, 100, "consensus_blocks")
+        require(
+            self.consensus_dim % 32 == 0,
+            f"consensus_dim: expected a multiple of 32, got {self.consensus_dim}",
+        )
+
+    @property
+    def num_blocks(self) -> int:
+        """Transformer blocks of which the configuration says how many there are."""
+        return super().num_blocks + self.consensus_blocks
+
+
+_NETWORKS = {"unips": UniPSConfig, "self_calibrating": SelfCalibratingConfig}
 
 
 def to_json(config: Any) -> str:
@@ -203,18 +332,38 @@ def from_json(cls: type[_T], text: str) -> _T:
         text: JSON text.
 
     Raises:
-        ValueError: if a field is unknown, or a value is not acceptable.
+        ValueError: if it is no JSON object, a field is unknown, or a value is not
+            acceptable.
     """
-    return _from_mapping(cls, json.loads(text))
+    try:
+        values = json.loads(text)
+    except RecursionError:
+        raise ValueError(
+            f"{cls.__name__}: expected JSON, got too deep a nest"
+        ) from None
+    return _from_mapping(cls, values)
 
 
-def _from_mapping(cls: type[_T], values: Mapping[str, Any]) -> _T:
-    fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+def _from_mapping(cls: type[_T], values: Any) -> _T:
+    require(
+        isinstance(values, dict),
+        f"{cls.__name__}: expected a JSON object, got {values!r:.60}",
+    )
+    if issubclass(cls, ModelConfig):
+        values = dict(values)
+        network = values.pop("network", None)
+        require(
+            isinstance(network, str) and network in _NETWORKS,
+            f"{cls.__name__}: expected a network, one of {sorted(_NETWORKS)}, got "
+            f"{network!r:.60}. Was the file written by another version of unips_jax?",
+        )
+        cls = _NETWORKS[network]  # type: ignore[assignment]
+    fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # type: ignore[arg-type]
     unknown = sorted(set(values) - set(fields))
     require(
         not unknown,
-        f"{cls.__name__}: unknown fields {unknown}; this version knows "
-        f"{sorted(fields)}. Was the file written by a newer unips_jax?",
+        f"{cls.__name__}: unknown fields {unknown!s:.200}; this version knows "
+        f"{sorted(fields)}. Was the file written by another version of unips_jax?",
     )
     kwargs = {}
     for name, value in values.items():

@@ -3,9 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jax import Array
+
+from unips_jax.models.encoding import Pieces
 
 # Images that pass the backbone together.
 CHUNK_IMAGES = 2
@@ -34,6 +37,31 @@ def map_chunks(function: Callable[[Any], Any], xs: Any, size: int) -> Any:
         return jax.checkpoint(function)(xs)
     parts = split_chunks(xs, size)
     return join_chunks(jax.lax.map(jax.checkpoint(function), parts), total)
+
+
+def in_pieces(size: int) -> Pieces:
+    """`map_chunks` for the modules of an encoder; every chunk has its own dropout.
+
+    Args:
+        size: of the chunks.
+    """
+
+    def run(module: nn.Module, xs: Any, *rest: Any) -> Any:
+        def call(module: Any, part: Any) -> Any:
+            return module(part, *rest)
+
+        total = jax.tree.leaves(xs)[0].shape[0]
+        if total <= size:
+            return nn.remat(call)(module, xs)
+        step = nn.scan(
+            lambda module, carry, part: (carry, nn.remat(call)(module, part)),
+            variable_broadcast="params",
+            split_rngs={"params": False, "dropout": True},
+        )
+        _, parts = step(module, (), split_chunks(xs, size))
+        return join_chunks(parts, total)
+
+    return run
 
 
 def split_chunks(xs: Any, size: int) -> Any:

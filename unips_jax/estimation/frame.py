@@ -11,6 +11,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from unips_jax.checks import require_choice
+from unips_jax.config import ModelConfig
 
 FrameKind = Literal["mask", "image"]
 
@@ -57,6 +58,28 @@ def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:
         start + (size - side) // 2 for start, size in zip(starts, sizes, strict=True)
     )
     return Frame(top, left, side)
+
+
+def context_cells(
+    rows: Array, columns: Array, frame: Frame, config: ModelConfig
+) -> tuple[Array, Array]:
+    """Where pixels lie on the grid of the contexts of a frame.
+
+    Args:
+        rows: of the pixels in the image, `[P]`, integers.
+        columns: likewise.
+        frame: what was encoded.
+        config: the network's configuration.
+
+    Returns:
+        Rows and columns in cells, `[P]` each; 0 is the centre of the first cell.
+    """
+    offset = 0.0 if config.reads_at_corners else 0.5
+    scale = config.context_size / frame.side
+    return (
+        (rows - frame.top + offset) * scale - 0.5,
+        (columns - frame.left + offset) * scale - 0.5,
+    )
 
 
 def normalize_images(images: Array, mask: Array) -> Array:

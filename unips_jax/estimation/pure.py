@@ -3,7 +3,7 @@
 Source: UniPS (Ikehata, CVPR 2022), Sec. 4. Departures from the paper: images need not
 be square. The encoder sees the smallest square around the mask (zeros where it leaves
 the image), and every pixel is decoded at its own place and size. The normals may be the
-mean over the images and the mirrored images (`ModelConfig.mirror`).
+mean over the images and the mirrored images, as those of our network are.
 """
 
 import functools
@@ -18,6 +18,7 @@ from unips_jax.config import ModelConfig
 from unips_jax.estimation.chunks import (
     CHUNK_IMAGES,
     CHUNK_TOKENS,
+    in_pieces,
     map_chunks,
     map_views,
 )
@@ -25,11 +26,12 @@ from unips_jax.estimation.frame import (
     Frame,
     FrameKind,
     canonical_images,
+    context_cells,
     normalize_images,
     square_frame,
 )
 from unips_jax.models import ops
-from unips_jax.models.unips import UniPS
+from unips_jax.models.network import Network, read_contexts
 
 Params = Any
 
@@ -55,36 +57,15 @@ def encode(
     Returns:
         `[N, s/4, s/4, context_dim]`.
     """
-    encoder = UniPS(config).bind({"params": params}).encoder
-
-    def communicate(level: Array, index: int) -> Array:
-        n, h, w, c = level.shape
-        sets = jnp.moveaxis(level.reshape(n, h * w, 1, c), 1, 0)  # [h * w, N, 1, c]
-        block = functools.partial(encoder.communicate, index=index, valid=valid)
-        sets = map_chunks(
-            lambda part: jnp.moveaxis(block(jnp.moveaxis(part, 0, 1)), 0, 1),
-            sets,
-            max(1, CHUNK_TOKENS // n),
-        )
-        return jnp.moveaxis(sets, 0, 1).reshape(n, h, w, c)
-
-    related = encoder.relate(images, valid)
-    if config.communication == "during":
-        level, maps = map_chunks(encoder.embed, related, CHUNK_IMAGES), []
-        for i, norm in enumerate(encoder.norms):
-            stage = functools.partial(encoder.stage, index=i)
-            level = communicate(map_chunks(stage, level, CHUNK_IMAGES), i)
-            maps.append(norm(level))
-    else:
-        maps = map_chunks(
-            lambda part: encoder.extract(encoder.embed(part)), related, CHUNK_IMAGES
-        )
-    if config.communication == "pre":
-        maps = [communicate(level, i) for i, level in enumerate(maps)]
-    contexts = map_chunks(encoder.fuse, maps, CHUNK_IMAGES)
-    if config.communication == "post":
-        contexts = communicate(contexts, 0)
-    contexts, _ = encoder.agree(contexts, valid)
+    encoded: Any = Network(config).apply(
+        {"params": params},
+        images,
+        valid,
+        by_image=in_pieces(CHUNK_IMAGES),
+        by_place=in_pieces(max(1, CHUNK_TOKENS // len(images))),
+        method="encode",
+    )
+    contexts = encoded.contexts
     if uniform_contexts:
         _, height, width, _ = contexts.shape
         inside = ops.resize_mask_nearest(images[..., 3], (height, width))[..., None]
@@ -121,18 +102,17 @@ def decode(
     Returns:
         Unit normals, `[P, 3]`; of two views the mean, mirrored back.
     """
-    network = UniPS(config).bind({"params": params})
-    offset = 0.5 if config.context_sampling == "center" else 0.0
+    network = Network(config)
 
     def decode_view(view: tuple[Array, Frame, Array]) -> Array:
         contexts, frame, mirrored = view
-        scale = contexts.shape[1] / frame.side
         rows, columns = places
         columns = jnp.where(mirrored, width - 1 - columns, columns)
-        rows = (rows - frame.top + offset) * scale - 0.5
-        columns = (columns - frame.left + offset) * scale - 0.5
-        sampled = network.sample(contexts, rows, columns)
-        normals = network.decoder(pixels, sampled, valid)
+        cells = context_cells(rows, columns, frame, config)
+        read = jnp.swapaxes(read_contexts(contexts, *cells, config=config), 0, 1)
+        normals: Any = network.apply(
+            {"params": params}, pixels, read, valid, method="decode"
+        )
         return jnp.where(mirrored, normals * jnp.array([-1, 1, 1]), normals)
 
     mirrored = jnp.arange(len(contexts)) == 1
@@ -160,8 +140,8 @@ def estimate_normals(
     condition: use `jax.lax.map` over objects to keep that).
 
     Images need not be square: the encoder sees the smallest square around the mask,
-    with zeros where it leaves the image, and no aspect ratio changes. With `mirror` in
-    the configuration it also sees the mirrored images, and the normals are the mean.
+    with zeros where it leaves the image, and no aspect ratio changes. Our network also
+    sees the mirrored images, and the normals are the mean.
 
     On NVIDIA GPUs JAX multiplies float32 matrices with 10 bits of mantissa unless
     `jax.default_matmul_precision("highest")` surrounds the call.

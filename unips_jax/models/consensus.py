@@ -8,32 +8,18 @@ is most of what uncalibrated photometric stereo has to find out (SDPS-Net, Chen 
 CVPR 2019, has a network of its own for it).
 """
 
-from typing import NamedTuple
-
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import DTypeLike
 
 from unips_jax.models import ops
+from unips_jax.models.encoding import Guesses
 from unips_jax.models.set_attention import SAB, Dense, dense, layer_norm
 
 # Width of an attention head, and of the MLP over the block's.
 _HEAD = 32
 _MLP_RATIO = 3
-
-
-class Guesses(NamedTuple):
-    """By-products of the consensus, for B sets of N images.
-
-    Attributes:
-        normals: `[B, h, w, 3]`, along the normals at the contexts' cells, any length.
-        lights: `[B, N, 3]`, mean directions of the images' lights (see
-            `scenes.Scene.light_means`).
-    """
-
-    normals: Array
-    lights: Array
 
 
 class Consensus(nn.Module):

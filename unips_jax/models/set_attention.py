@@ -1,6 +1,6 @@
 """Attention over sets: SAB and PMA of the Set Transformer (Lee et al., 2019).
 
-Two arithmetics, chosen by `ModelConfig.attention`:
+Two arithmetics, chosen by `UniPSConfig.attention`:
 
 - "pre_norm", the paper's standard Transformer layer: X + attention(LN(X)), scale
   sqrt(width of a head), then X + MLP(LN(X)). Keys come from the normalised set. Where
@@ -23,6 +23,8 @@ from jax.typing import ArrayLike, DTypeLike
 
 from unips_jax.models import ops
 from unips_jax.models.dropout import Dropout
+
+AttentionKind = Literal["pre_norm", "released"]
 
 
 def truncated_normal(stddev: float = 0.02) -> nn.initializers.Initializer:
@@ -157,7 +159,7 @@ class SAB(nn.Module):
     features: int
     num_heads: int
     mlp_dim: int
-    attention: Literal["pre_norm", "released"]
+    attention: AttentionKind
     use_layer_norm: bool = True
     dropout_rate: float = 0.0
     dtype: DTypeLike = jnp.float32
@@ -239,7 +241,7 @@ class PMA(nn.Module):
     features: int
     num_heads: int
     mlp_dim: int
-    attention: Literal["pre_norm", "released"]
+    attention: AttentionKind
     num_seeds: int = 1
     dropout_rate: float = 0.0
     dtype: DTypeLike = jnp.float32

@@ -182,7 +182,7 @@ class PatchMerging(nn.Module):
 
 
 class SwinStage(nn.Module):
-    """The blocks of one stage.
+    """The merging of patches, but in the first stage, and the blocks of one stage.
 
     Attributes:
         config: the network's configuration.
@@ -196,7 +196,12 @@ class SwinStage(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, deterministic: bool) -> Array:
-        """Applies the blocks to `[B, h, w, C]`."""
+        """Maps the stage before's `[B, h, w, C]` to `[B, h/2, w/2, 2C]`.
+
+        The first stage keeps the tokens' shape.
+        """
+        if self.stage:
+            x = PatchMerging(self.dtype, name="merging")(x)
         config, before = self.config, sum(self.config.depths[: self.stage])
         block = nn.remat(SwinBlock, static_argnums=(2,)) if config.remat else SwinBlock
         last = max(sum(config.depths) - 1, 1)

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from unips_jax.checks import require
+from unips_jax.checks import check_types, require
 
 LIGHT_KINDS = ("directional", "environment", "mixed", "point", "area")
 SHAPE_KINDS = ("blob", "composition", "machine", "lathe", "thin", "relief", "plate")
@@ -68,6 +68,7 @@ class SceneConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
+        check_types(self)
         for name, kinds in (
             ("light_weights", LIGHT_KINDS),
             ("shape_weights", SHAPE_KINDS),

@@ -84,7 +84,7 @@ def _scene_renderer(
             config=config.scenes,
         )
         batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
-        if config.model.consensus_blocks:  # others would be compiled for them in vain
+        if config.model.guesses:  # others would be compiled for them in vain
             batch["lights"] = scene.light_means
         return batch
 

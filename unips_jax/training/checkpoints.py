@@ -35,7 +35,7 @@ from unips_jax.training.log import say
 
 # What may change between the runs of one training: where and how, not what.
 _FREE = {
-    "model": {"remat", "mirror"},
+    "model": {"remat"},
     "optim": {"fall_steps"},
     "data": {"root", "workers"},
     "scenes": set(),

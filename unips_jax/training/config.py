@@ -4,8 +4,8 @@ import dataclasses
 from typing import Literal
 
 from unips_jax.checks import (
+    check_types,
     require,
-    require_choice,
     require_not_negative,
     require_positive,
 )
@@ -59,8 +59,7 @@ class DataConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
-        require_choice("source", self.source, ("scenes", "folders", "mixture"))
-        require_choice("frame", self.frame, ("image", "mask"))
+        check_types(self)
         require_positive(self, "image_size", "batch_size", "num_pixels")
         require_not_negative(self, "max_tokens", "workers")
         require(
@@ -122,8 +121,7 @@ class OptimConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
-        require_choice("name", self.name, ("adamw", "muon"))
-        require_choice("schedule", self.schedule, ("cosine", "trapezoid", "step"))
+        check_types(self)
         require_positive(self, "learning_rate", "decay_every", "decay_rate")
         require_not_negative(
             self, "warmup_steps", "fall_steps", "weight_decay", "clip_norm"
@@ -151,6 +149,7 @@ class MeshConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
+        check_types(self)
         require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
         require_positive(self, "fsdp")
 
@@ -196,6 +195,7 @@ class TrainConfig:
         Raises:
             ValueError: naming the field, what was expected and what came.
         """
+        check_types(self)
         require_positive(
             self,
             *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
@@ -221,7 +221,7 @@ class Config:
         train: length, loss and rhythm.
     """
 
-    model: ModelConfig = ModelConfig()
+    model: ModelConfig = ModelConfig.paper()
     data: DataConfig = DataConfig()
     scenes: SceneConfig = SceneConfig()
     optim: OptimConfig = OptimConfig()

@@ -51,7 +51,7 @@ from unips_jax.training.validation import (
 from unips_jax.weights import load_weights, save_weights
 
 # Fields of a network that do not change what its parameters mean.
-_SAME_PARAMETERS = {"remat", "dtype", "dropout_rate", "drop_path_rate", "mirror"}
+_SAME_PARAMETERS = {"remat", "dtype", "dropout_rate", "drop_path_rate"}
 
 
 def train(
@@ -188,9 +188,9 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
     model, params = load_weights(source)
     run, own = dataclasses.asdict(config.model), dataclasses.asdict(model)
     changed = {
-        name: (value, run[name])
+        name: (value, run.get(name))
         for name, value in own.items()
-        if name not in _SAME_PARAMETERS and run[name] != value
+        if name not in _SAME_PARAMETERS and run.get(name) != value
     }
     if changed:
         raise InputError(

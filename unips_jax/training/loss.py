@@ -19,19 +19,20 @@ from unips_jax.config import ModelConfig
 from unips_jax.estimation.chunks import (
     CHUNK_IMAGES,
     CHUNK_TOKENS,
+    in_pieces,
     join_chunks,
-    map_chunks,
     split_chunks,
 )
 from unips_jax.estimation.frame import (
     FrameKind,
     canonical_images,
+    context_cells,
     normalize_images,
     square_frame,
 )
 from unips_jax.models import ops
-from unips_jax.models.consensus import Guesses
-from unips_jax.models.unips import UniPS
+from unips_jax.models.encoding import Guesses, whole
+from unips_jax.models.network import Network, read_contexts
 
 
 def squared_distance(predicted: Array, true: Array) -> Array:
@@ -140,8 +141,8 @@ def training_loss(
 ) -> tuple[Array, dict[str, Array]]:
     """The mean loss of B objects, differentiable by the parameters.
 
-    The decoder's gradient is computed with its value, see `chunked_sum`. A network with
-    a consensus is also judged by its guesses of coarse normals and of the lights.
+    The decoder's gradient is computed with its value, see `chunked_sum`. A network that
+    guesses is also judged by its guesses of coarse normals and of the lights.
 
     Args:
         params: the network's parameters.
@@ -165,7 +166,7 @@ def training_loss(
     """
     # On CPU the decoder's chunks are small: nothing to recompute.
     on_cpu = jax.default_backend() == "cpu"
-    network = UniPS(dataclasses.replace(config, remat=config.remat and not on_cpu))
+    network = Network(dataclasses.replace(config, remat=config.remat and not on_cpu))
     batch, num_images = images.shape[:2]
     draws = jax.vmap(jax.random.split)(keys)  # [B, 2]
     prepare = functools.partial(
@@ -177,16 +178,19 @@ def training_loss(
     )
     prepared = jax.vmap(prepare)(images, mask, normals, draws[:, 0])
     encoder_key, decoder_key = jax.random.split(draws[0, 1])
-    contexts, guesses = _contexts(
-        params["encoder"],
+    # On CPU the compiler undoes rematerialisation everywhere but in loops.
+    encoded: Any = network.apply(
+        {"params": {"encoder": params["encoder"]}},
         prepared.inputs,
-        encoder_key,
-        config=config,
-        deterministic=deterministic,
+        None,
+        deterministic,
+        by_image=in_pieces(CHUNK_IMAGES) if config.remat and on_cpu else whole,
+        rngs={"dropout": encoder_key},
+        method="encode",
     )
-    zeros = config.context_sampling == "corner"
-    sample = jax.vmap(functools.partial(ops.bilinear_sample, zeros=zeros))
-    sampled = sample(contexts, prepared.rows, prepared.columns)  # [B, N, P, C]
+    contexts, guesses = encoded
+    read = jax.vmap(functools.partial(read_contexts, config=config))
+    sampled = read(contexts, *prepared.cells)  # [B, N, P, C]
     if grid_loss:
         cells = contexts.reshape(batch, num_images, -1, contexts.shape[-1])
         sampled = jnp.concatenate([cells, sampled], axis=2)
@@ -201,8 +205,8 @@ def training_loss(
             sampled,
             None,
             deterministic,
-            method=lambda network, *inputs: network.decoder(*inputs),
             rngs={"dropout": jax.random.fold_in(decoder_key, index[0])},
+            method="decode",
         )
         squared = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
         loss = squared if squared_loss else plain_distance(squared)
@@ -216,7 +220,7 @@ def training_loss(
         (jnp.arange(len(true)), true, weights / batch),
         max(1, CHUNK_TOKENS // (batch * num_images)) if on_cpu else None,
     )
-    drawn = prepared.rows.shape[1]
+    drawn = prepared.cells[0].shape[1]
     error = jnp.rad2deg(jnp.arccos(jnp.clip(cosine[-drawn:], -1, 1)))
     metrics = {"mae_deg": jnp.sum(weights[-drawn:] * error) / batch}
     if guesses is not None:
@@ -225,39 +229,6 @@ def training_loss(
         loss = loss + sum(guess_weights[name] * x for name, x in losses.items())
         metrics |= losses
     return loss, metrics
-
-
-def _contexts(
-    params: Any, inputs: Array, key: Array, *, config: ModelConfig, deterministic: bool
-) -> tuple[Array, Guesses | None]:
-    """The encoder of B objects: `[B, N, s, s, 4]` to `[B, N, s/4, s/4, C]`, guesses."""
-    # On CPU the compiler undoes rematerialisation everywhere but in loops.
-    loop = config.remat and jax.default_backend() == "cpu"
-    loop = loop and config.communication != "during"  # its images need each other
-    network = UniPS(dataclasses.replace(config, remat=config.remat and not loop))
-    batch, num_images = inputs.shape[:2]
-    options = None, deterministic, num_images
-
-    def run(method: str, key: Array, *inputs: Any) -> Any:
-        return network.apply(
-            {"params": {"encoder": params}},
-            *inputs,
-            method=lambda network, *inputs: getattr(network.encoder, method)(*inputs),
-            rngs={"dropout": key},
-        )
-
-    def extract(part: tuple[Array, Array]) -> Any:
-        tokens, index = part
-        return run("extract", jax.random.fold_in(key, index[0]), tokens, *options)
-
-    # Without `vmap` over objects: the gradients of plain products are faster.
-    related = run("relate", key, inputs)
-    tokens = run("embed", key, related.reshape(-1, *related.shape[2:]))
-    each = tokens, 1 + jnp.arange(len(tokens))
-    maps = map_chunks(extract, each, CHUNK_IMAGES) if loop else extract(each)
-    contexts = run("combine", jax.random.fold_in(key, 0), maps, *options)
-    contexts = contexts.reshape(batch, num_images, *contexts.shape[1:])
-    return run("agree", key, contexts)
 
 
 def _guess_losses(
@@ -298,8 +269,7 @@ class _Prepared(NamedTuple):
 
     inputs: Array  # [N, s, s, 4]
     observed: Array  # [N, G + P, 3]
-    rows: Array  # [P]
-    columns: Array  # [P]
+    cells: tuple[Array, Array]  # rows and columns on the contexts' grid, [P] each
     true: Array  # [G + P, 3]
     weights: Array  # [G + P], of the pixels in the loss
 
@@ -322,7 +292,7 @@ def _prepare(
     )
     index, drawn = draw_pixels(mask, num_pixels, key)
     n, _, width, _ = images.shape
-    grid = config.canonical_size // 4
+    grid = config.context_size
     observed = jnp.take(images.reshape(n, -1, 3), index, axis=1)
     true = jnp.take(normals.reshape(-1, 3), index, axis=0)
     weights = mean_weights(drawn)
@@ -332,12 +302,10 @@ def _prepare(
         small_true = canonical_images(normals[None], mask, frame, grid)[0, ..., :3]
         true = jnp.concatenate([ops.normalize(small_true).reshape(-1, 3), true])
         weights = jnp.concatenate([mean_weights(small[0, ..., 3].reshape(-1)), weights])
-    offset = 0.5 if config.context_sampling == "center" else 0.0
     return _Prepared(
         inputs,
         observed,
-        rows=(index // width - frame.top + offset) * grid / frame.side - 0.5,
-        columns=(index % width - frame.left + offset) * grid / frame.side - 0.5,
+        cells=context_cells(index // width, index % width, frame, config),
         true=true,
         weights=weights,
     )

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from unips_jax.models.network import init_params
 from unips_jax.training.config import Config
 from unips_jax.training.optimizer import make_optimizer
-from unips_jax.weights import init_params
 
 
 class TrainState(NamedTuple):

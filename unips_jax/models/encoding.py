@@ -1,0 +1,95 @@
+"""What the encoders of both networks are made of and give, and how to run one.
+
+An encoder treats every image alone, but for the communication between the images of a
+set, which treats every place of the maps alone. So a caller may have it done in pieces.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax.config import ModelConfig
+from unips_jax.models.set_attention import SAB, AttentionKind
+
+# Calls a module, `module(xs, *rest)`, on the leading axis of `xs`, whole or in pieces.
+Pieces = Callable[..., Any]
+
+
+class Guesses(NamedTuple):
+    """What an encoder may find out on its way, for B sets of N images.
+
+    Attributes:
+        normals: `[B, h, w, 3]`, along the normals at the contexts' cells, any length.
+        lights: `[B, N, 3]`, mean directions of the images' lights (see
+            `scenes.Scene.light_means`).
+    """
+
+    normals: Array
+    lights: Array
+
+
+class Encoded(NamedTuple):
+    """What an encoder makes of sets of images.
+
+    Attributes:
+        contexts: the global lighting contexts, `[..., N, s/4, s/4, context_dim]`.
+        guesses: see there; None from a network that makes none.
+    """
+
+    contexts: Array
+    guesses: Guesses | None = None
+
+
+def whole(module: nn.Module, xs: Any, *rest: Any) -> Any:
+    """The one piece: calls the module on all of `xs` at once."""
+    return module(xs, *rest)  # type: ignore[operator]
+
+
+def communications(
+    config: ModelConfig, dims: Sequence[int], attention: AttentionKind
+) -> list[nn.Module]:
+    """The set attention blocks between the images, one for each map's channels."""
+    block = nn.remat(SAB, static_argnums=(3,)) if config.remat else SAB
+    return [
+        block(
+            features=dim,
+            num_heads=config.communication_heads,
+            mlp_dim=int(dim * config.communication_mlp_ratio),
+            attention=attention,
+            use_layer_norm=False,
+            dropout_rate=config.dropout_rate,
+            dtype=jnp.dtype(config.dtype),
+        )
+        for dim in dims
+    ]
+
+
+def communicate(
+    block: nn.Module,
+    level: Array,
+    num_images: int,
+    valid: Array | None,
+    deterministic: bool,
+    by_place: Pieces = whole,
+) -> Array:
+    """Lets the images of a set exchange features at every place of a map.
+
+    Args:
+        block: one of `communications`.
+        level: `[M, h, w, C]`; every N images in a row are a set.
+        num_images: N.
+        valid: `[N]`, bool: which images count; None: all.
+        deterministic: no dropout.
+        by_place: how to run the block, on `[places, N, C]`.
+
+    Returns:
+        As `level`.
+    """
+    sets = level.reshape(-1, num_images, *level.shape[1:])
+    sets = jnp.moveaxis(sets, 1, -2)  # [M / N, h, w, N, C]
+    places = sets.reshape(-1, *sets.shape[-2:])
+    places = by_place(block, places, valid, deterministic)
+    return jnp.moveaxis(places.reshape(sets.shape), -2, 1).reshape(level.shape)
