@@ -9,7 +9,7 @@ Hardware: meant for one GPU. Time and score: none, it was not trained yet; twent
 with smaller batches, were seen to run on two CPU cores.
 """
 
-from unips_jax.config import ModelConfig
+from unips_jax.models.config import ModelConfig
 from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 
 

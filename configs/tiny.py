@@ -21,7 +21,7 @@ loss and optimiser are those of the last runs, and a further run like the last i
 once are remembered). `tools/ship_weights.py` then compares, and ships what is better.
 """
 
-from unips_jax.config import ModelConfig
+from unips_jax.models.config import ModelConfig
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 

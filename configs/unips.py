@@ -8,7 +8,7 @@ Not trained here: neither that data set nor that time were at hand.
 
 import dataclasses
 
-from unips_jax.config import ModelConfig
+from unips_jax.models.config import ModelConfig
 from unips_jax.training.config import Config
 
 

@@ -9,7 +9,7 @@ trained with batch 4 and weight decay 0.01.
 
 import dataclasses
 
-from unips_jax.config import ModelConfig
+from unips_jax.models.config import ModelConfig
 from unips_jax.training.config import Config, DataConfig, OptimConfig
 
 

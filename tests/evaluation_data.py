@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from scipy.io import savemat
 
-from unips_jax.config import UniPSConfig
+from unips_jax.models.config import UniPSConfig
 from unips_jax.models.network import init_params
 from unips_jax.weights import save_weights
 

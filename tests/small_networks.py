@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from unips_jax.config import SelfCalibratingConfig, UniPSConfig
+from unips_jax.models.config import SelfCalibratingConfig, UniPSConfig
 from unips_jax.models.network import init_params
 
 _SIZES = dict(

@@ -15,8 +15,8 @@ import pytest
 from unips_jax.baselines import calibrated
 from unips_jax.baselines.gcnet import crops, networks
 from unips_jax.baselines.gcnet import lights as gcnet_lights
+from unips_jax.baselines.gcnet import parameters as gcnet_weights
 from unips_jax.baselines.gcnet import pipeline as gcnet
-from unips_jax.baselines.gcnet import weights as gcnet_weights
 from unips_jax.baselines.method import Lights, Observed, Unsupported
 from unips_jax.errors import InputError
 

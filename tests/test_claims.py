@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
-from unips_jax.baselines.gcnet.weights import save_params
-from unips_jax.config import ModelConfig
+from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.errors import InputError
 from unips_jax.evaluation.store import Store
 from unips_jax.io import claims
+from unips_jax.models.config import ModelConfig
 from unips_jax.weights import save_weights
 
 PARAMS = {"a": {"kernel": np.zeros(3, np.float32)}}

@@ -8,8 +8,8 @@ import numpy as np
 
 from unips_jax import weights
 from unips_jax.cli import demo
-from unips_jax.config import ModelConfig
 from unips_jax.estimation import streaming
+from unips_jax.models.config import ModelConfig
 
 FOLDER = demo.SAMPLE / "obj000.data"
 

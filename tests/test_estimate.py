@@ -12,9 +12,9 @@ import pytest
 
 from unips_jax import weights
 from unips_jax.cli import main as cli
-from unips_jax.config import ModelConfig
 from unips_jax.estimation import folders, streaming
 from unips_jax.io.photographs import select
+from unips_jax.models.config import ModelConfig
 
 HEIGHT, WIDTH = 60, 80
 EXAMPLES = 6

@@ -9,10 +9,10 @@ import pytest
 from small_networks import SMALL, SMALL_OURS, lively_weights, with_dtype
 
 from unips_jax import estimate_normals
-from unips_jax.config import SelfCalibratingConfig
 from unips_jax.estimation import pure
 from unips_jax.estimation.frame import canonical_images, square_frame
 from unips_jax.estimation.streaming import estimate_photographs
+from unips_jax.models.config import SelfCalibratingConfig
 from unips_jax.models.network import Network
 from unips_jax.models.ops import normalize
 

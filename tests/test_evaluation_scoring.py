@@ -7,7 +7,7 @@ import evaluation_data as data
 import numpy as np
 import pytest
 
-from unips_jax.baselines.gcnet.weights import save_params
+from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.baselines.method import Lights, Observed
 from unips_jax.errors import InputError
 from unips_jax.estimation import streaming

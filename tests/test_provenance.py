@@ -47,6 +47,13 @@ def test_what_is_not_imported_or_only_read_does_not(hash_with, name):
     )
 
 
+def test_what_only_type_checkers_import_does_not(hash_with):
+    unseen = "from typing import TYPE_CHECKING\n"
+    unseen += "if TYPE_CHECKING:\n    from pack import other\n"
+    changed = {"inner/b.py": FILES["inner/b.py"] + unseen}
+    assert hash_with(**changed) == hash_with(**changed, **{"other.py": "X = 2\n"})
+
+
 def test_comments_and_docstrings_do_not_count(hash_with):
     text = '"""Other."""\n\n# Why.\ndef g():\n    """Other."""\n\n    return 1\n'
     assert hash_with() == hash_with(**{"inner/c.py": text})

@@ -12,8 +12,8 @@ import jax
 import numpy as np
 import pytest
 
-from unips_jax.config import to_json
 from unips_jax.errors import InputError
+from unips_jax.models.config import to_json
 from unips_jax.train import load_config, main
 from unips_jax.training import log as log_module
 from unips_jax.training import loop

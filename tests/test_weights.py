@@ -6,8 +6,8 @@ from flax.traverse_util import flatten_dict
 from safetensors.numpy import save_file
 from small_networks import SMALL, lively_weights
 
-from unips_jax.config import ModelConfig
 from unips_jax.errors import InputError
+from unips_jax.models.config import ModelConfig
 from unips_jax.models.released import from_official, official_name
 from unips_jax.weights import (
     load_weights,

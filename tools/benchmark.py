@@ -28,10 +28,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import unips_jax
-from unips_jax.config import ModelConfig, SelfCalibratingConfig, UniPSConfig
 from unips_jax.console import command, keep_compiled
 from unips_jax.errors import InputError
 from unips_jax.estimation.pure import estimate_normals
+from unips_jax.models.config import ModelConfig, SelfCalibratingConfig, UniPSConfig
 from unips_jax.train import load_config
 from unips_jax.training.compilation import (
     compile_together,

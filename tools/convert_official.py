@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unips_jax.baselines.gcnet import weights as gcnet_weights
+from unips_jax.baselines.gcnet import parameters as gcnet_weights
 from unips_jax.console import command
 from unips_jax.errors import InputError
 from unips_jax.models.released import from_official

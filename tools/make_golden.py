@@ -21,10 +21,10 @@ import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 
 from unips_jax import estimate_normals
-from unips_jax.config import UniPSConfig
 from unips_jax.console import command
 from unips_jax.estimation.frame import canonical_images, normalize_images, square_frame
 from unips_jax.estimation.pure import encode
+from unips_jax.models.config import UniPSConfig
 from unips_jax.models.network import init_params
 from unips_jax.training.loss import training_loss
 

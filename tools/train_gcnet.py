@@ -25,7 +25,7 @@ from jax import Array
 
 from unips_jax.baselines.gcnet.lights import Logits, encode, light_errors, soft_lights
 from unips_jax.baselines.gcnet.networks import GCNet, LightNet, NormalNet, with_lights
-from unips_jax.baselines.gcnet.weights import save_params
+from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.baselines.method import Lights
 from unips_jax.console import keep_compiled
 from unips_jax.io.claims import write_whole

@@ -22,11 +22,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from unips_jax.config import ModelConfig
     from unips_jax.estimation.pure import estimate_normals
     from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.io.photographs import read_photographs
     from unips_jax.metrics import angular_error_deg
+    from unips_jax.models.config import ModelConfig
     from unips_jax.scenes.render import render_scene
     from unips_jax.weights import load_weights
 
@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "ModelConfig": "config",
+    "ModelConfig": "models.config",
     "angular_error_deg": "metrics",
     "estimate_normals": "estimation.pure",
     "estimate_photographs": "estimation.streaming",

@@ -18,7 +18,7 @@ def code_hash(*modules: str) -> str:
 
     What is hashed is the syntax without docstrings: comments and layout do not count.
     Imports are followed wherever they stand, also those inside functions; data files
-    are not.
+    are not, nor what only type checkers import.
 
     Args:
         modules: their names in the package, such as "evaluation.scores".
@@ -47,7 +47,7 @@ def _reached(names: Iterator[str]) -> set[str]:
 
 def _imports(name: str) -> Iterator[str]:
     """Modules of the package that a module imports (absolutely, as ours all do)."""
-    for node in ast.walk(ast.parse(_file(name).read_bytes())):
+    for node in _running(ast.parse(_file(name).read_bytes())):
         if isinstance(node, ast.Import):
             yield from (x.name for x in node.names if _is_ours(x.name))
         elif isinstance(node, ast.ImportFrom) and _is_ours(node.module or ""):
@@ -55,6 +55,15 @@ def _imports(name: str) -> Iterator[str]:
                 # A name is a module of the package, or something in the package.
                 inner = f"{node.module}.{alias.name}"
                 yield inner if _file(inner).is_file() else str(node.module)
+
+
+def _running(node: ast.AST) -> Iterator[ast.AST]:
+    """A syntax tree's nodes, but for those that only type checkers see."""
+    yield node
+    for child in ast.iter_child_nodes(node):
+        unseen = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test)
+        if not unseen:
+            yield from _running(child)
 
 
 def _is_ours(name: str) -> bool:

@@ -22,9 +22,9 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from unips_jax.config import ModelConfig, from_json, to_json
 from unips_jax.errors import InputError
 from unips_jax.io.claims import write_whole
+from unips_jax.models.config import ModelConfig, from_json, to_json
 from unips_jax.models.network import init_params, param_shapes, raise_misfits
 
 Params = dict[str, Any]

@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from unips_jax.config import ModelConfig
 from unips_jax.console import progress, track
 from unips_jax.errors import InputError
 from unips_jax.io.advice import capture_warnings
@@ -40,6 +39,7 @@ from unips_jax.io.results import (
     read_record,
     write_record,
 )
+from unips_jax.models.config import ModelConfig
 from unips_jax.pictures.estimate_sheet import write_sheet
 from unips_jax.provenance import code_hash
 

@@ -11,7 +11,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from unips_jax.checks import require_choice
-from unips_jax.config import ModelConfig
+from unips_jax.models.config import ModelConfig
 
 FrameKind = Literal["mask", "image"]
 

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from unips_jax.config import ModelConfig
 from unips_jax.estimation.chunks import CHUNK_TOKENS
 from unips_jax.estimation.frame import Frame, FrameKind, resize_weights, square_frame
 from unips_jax.estimation.pure import decode, encode
 from unips_jax.io.color import Transfer, as_linear
+from unips_jax.models.config import ModelConfig
 
 # Set sizes that are compiled; a set is padded to the next.
 _BUCKETS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 80, 96, 128)

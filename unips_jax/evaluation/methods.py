@@ -24,8 +24,8 @@ import numpy as np
 from typeguard import TypeCheckError, check_type
 
 from unips_jax.baselines.method import Method, Observed
-from unips_jax.config import ModelConfig
 from unips_jax.errors import InputError
+from unips_jax.models.config import ModelConfig
 from unips_jax.provenance import code_hash
 
 
@@ -290,7 +290,7 @@ def _check_files(request: str, name: str, options: Mapping[str, Any]) -> None:
             f"{weights!r}"
         )
     if network:
-        from unips_jax.baselines.gcnet.weights import load_params
+        from unips_jax.baselines.gcnet.parameters import load_params
 
         found = load_params(str(weights))[1]
         if found != network:

@@ -10,8 +10,8 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
 
-from unips_jax.config import ModelConfig
 from unips_jax.models import ops
+from unips_jax.models.config import ModelConfig
 from unips_jax.models.set_attention import PMA, SAB, AttentionKind, dense
 
 # Components of a normal.

@@ -11,7 +11,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
 
-from unips_jax.config import ModelConfig
+from unips_jax.models.config import ModelConfig
 from unips_jax.models.set_attention import SAB, AttentionKind
 
 # Calls a module, `module(xs, *rest)`, on the leading axis of `xs`, whole or in pieces.

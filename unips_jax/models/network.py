@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from flax.traverse_util import flatten_dict
 from jax import Array
 
-from unips_jax.config import ModelConfig, SelfCalibratingConfig
 from unips_jax.errors import InputError
 from unips_jax.models import ops, self_calibrating, unips
+from unips_jax.models.config import ModelConfig, SelfCalibratingConfig
 from unips_jax.models.encoding import Encoded, Pieces, whole
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from flax.traverse_util import unflatten_dict
 
-from unips_jax.config import ModelConfig
+from unips_jax.models.config import ModelConfig
 from unips_jax.models.network import param_shapes, raise_misfits
 
 Params = dict[str, Any]

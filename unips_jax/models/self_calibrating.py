@@ -22,8 +22,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import DTypeLike
 
-from unips_jax.config import SelfCalibratingConfig
 from unips_jax.models import ops
+from unips_jax.models.config import SelfCalibratingConfig
 from unips_jax.models.consensus import Consensus
 from unips_jax.models.decoding import Aggregation, Prediction
 from unips_jax.models.encoding import (

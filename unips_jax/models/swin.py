@@ -10,8 +10,8 @@ import numpy as np
 from jax import Array
 from jax.typing import DTypeLike
 
-from unips_jax.config import ModelConfig
 from unips_jax.models import ops
+from unips_jax.models.config import ModelConfig
 from unips_jax.models.set_attention import (
     dense,
     dot_product_attention,

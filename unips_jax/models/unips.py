@@ -2,7 +2,7 @@
 
 Source: "Universal Photometric Stereo Network using Global Lighting Contexts" (Ikehata,
 CVPR 2022), Sec. 4 and supplement, with its ablations and, in the same modules, the
-arithmetic of the authors' released weights (`config.UniPSConfig`). An object's images
+arithmetic of the authors' released weights (`UniPSConfig`). An object's images
 are one set of N; batches of objects are leading axes. `valid` `[N]` marks the images
 that count, so that sets can be padded; padding with finite values never changes a
 result.
@@ -12,8 +12,8 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
 
-from unips_jax.config import UniPSConfig
 from unips_jax.models import ops
+from unips_jax.models.config import UniPSConfig
 from unips_jax.models.decoding import Aggregation, Prediction
 from unips_jax.models.encoding import (
     Encoded,

@@ -26,8 +26,8 @@ from jax.experimental import multihost_utils
 from orbax.checkpoint import multihost
 from orbax.checkpoint import v1 as ocp
 
-from unips_jax.config import to_json
 from unips_jax.errors import InputError
+from unips_jax.models.config import to_json
 from unips_jax.training.checksums import damage, write_checksums
 from unips_jax.training.config import Config
 from unips_jax.training.guards import any_process

@@ -9,7 +9,7 @@ from unips_jax.checks import (
     require_not_negative,
     require_positive,
 )
-from unips_jax.config import ModelConfig
+from unips_jax.models.config import ModelConfig
 from unips_jax.scenes.config import SceneConfig
 
 

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh
 
-from unips_jax.config import to_json
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
+from unips_jax.models.config import to_json
 from unips_jax.training.batches import make_batches
 from unips_jax.training.checkpoints import Checkpoints
 from unips_jax.training.compilation import (

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from unips_jax.config import ModelConfig
 from unips_jax.estimation.chunks import (
     CHUNK_IMAGES,
     CHUNK_TOKENS,
@@ -31,6 +30,7 @@ from unips_jax.estimation.frame import (
     square_frame,
 )
 from unips_jax.models import ops
+from unips_jax.models.config import ModelConfig
 from unips_jax.models.encoding import Guesses, whole
 from unips_jax.models.network import Network, read_contexts
 

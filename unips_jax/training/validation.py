@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from unips_jax.config import ModelConfig
 from unips_jax.console import track
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
+from unips_jax.models.config import ModelConfig
 from unips_jax.pictures.maps import error_picture, normals_picture, photograph_picture
 from unips_jax.scenes import (
     LIGHT_KINDS,

@@ -5,7 +5,7 @@ The published rows use PS-FCN for the normals, here `ps_fcn`. Source: Chen et al
 flexible learning framework for photometric stereo" (ECCV 2018); "Self-calibrating
 deep photometric stereo networks" (CVPR 2019). A re-implementation of the authors'
 architecture, checked against their networks' numbers. Their weights are not part of
-this package: the user supplies and converts them (`gcnet.weights.from_official`).
+this package: the user supplies and converts them (`gcnet.parameters.from_official`).
 Without weights the methods raise `Unsupported`; nothing runs untrained.
 
 The networks are not indifferent to exposure. The UniPS paper rescales each image
@@ -30,7 +30,7 @@ from unips_jax.baselines.gcnet import networks
 from unips_jax.baselines.gcnet.crops import Norm, Per, box, masked, normalise, resized
 from unips_jax.baselines.gcnet.lights import hard_lights, light_errors, soft_lights
 from unips_jax.baselines.gcnet.networks import Params
-from unips_jax.baselines.gcnet.weights import Network, load_params
+from unips_jax.baselines.gcnet.parameters import Network, load_params
 from unips_jax.baselines.method import Estimated, Lights, Method, Observed, Unsupported
 from unips_jax.baselines.pixels import object_pixels
 
