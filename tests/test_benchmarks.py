@@ -10,7 +10,7 @@ from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import open_benchmark, submission_bytes
 from unips_jax.evaluation.benchmarks.luces import read_leds
 from unips_jax.evaluation.benchmarks.ps_wild import manifest
-from unips_jax.io.names import is_photograph
+from unips_jax.io.selection import is_photograph
 
 
 def by_name(benchmark):

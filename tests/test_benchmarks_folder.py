@@ -63,7 +63,7 @@ def test_reads_exr_truth_and_grey_photographs(tmp_path):
     np.testing.assert_array_equal(item.normals[inside], pixels[inside])
     assert item.images.shape == (3, 9, 11, 3)
     np.testing.assert_allclose(item.images[2], 3 / 255 / 12.92, rtol=1e-6)
-    assert item.notes == ("8-bit photographs taken as sRGB and made linear",)
+    assert item.notes == ("photographs taken as sRGB (8-bit values) and made linear",)
 
 
 def test_exr_truth_is_placed_by_its_windows(tmp_path):

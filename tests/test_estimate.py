@@ -13,7 +13,7 @@ import pytest
 from unips_jax import weights
 from unips_jax.cli import main as cli
 from unips_jax.estimation import folders, streaming
-from unips_jax.io.photographs import select
+from unips_jax.io.selection import select
 from unips_jax.models.config import ModelConfig
 
 HEIGHT, WIDTH = 60, 80

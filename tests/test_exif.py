@@ -10,7 +10,8 @@ from test_photos import HEIGHT, WIDTH, save, smooth
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.official import read_official
-from unips_jax.io.photographs import read_photographs, select
+from unips_jax.io.photographs import read_photographs
+from unips_jax.io.selection import select
 
 
 def exif(orientation):

@@ -3,11 +3,14 @@
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from test_photos import HEIGHT, WIDTH, save, smooth
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image
 from unips_jax.io.masks import mask_box, read_mask
+from unips_jax.io.photographs import read_capture
+from unips_jax.io.selection import select
 
 FORMATS = [
     *((".png", np.uint8), (".png", np.uint16)),
@@ -84,3 +87,83 @@ def test_box():
     mask[2, 5] = mask[7, 3] = True
     assert mask_box(mask) == (slice(2, 8), slice(3, 6))
     assert mask_box(mask, 3) == (slice(0, 11), slice(0, 9))
+
+
+def lit_disc(folder, suffix=".png", dtype=np.uint8, background=0):
+    """Photographs of a disc, none of which shows all of it; gives the disc."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    disc = np.hypot(x - 18, y - 11) < 9
+    for i in range(3):
+        light = np.where(disc & (x % 3 != i), 0.5, 0)[..., None] * np.ones(3)
+        top = np.iinfo(dtype).max if np.dtype(dtype).kind == "u" else 1
+        image = np.where(disc[..., None], light * top, background).astype(dtype)
+        save(folder / f"{i}{suffix}", image)
+    return disc
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype", "background"),
+    [
+        *((".png", np.uint8, 0), (".png", np.uint8, 2), (".png", np.uint16, 0)),
+        (".exr", np.float32, 0),
+    ],
+)
+def test_what_is_black_in_all_photographs_is_left_out(
+    tmp_path, suffix, dtype, background
+):
+    disc = lit_disc(tmp_path, suffix, dtype, background)
+    capture = read_capture(select(tmp_path))
+    np.testing.assert_array_equal(capture.mask, disc)
+    assert capture.notes == (
+        f"{(~disc).sum()} pixels of the whole image (no mask) are black in all "
+        "photographs: left out",
+    )
+    wide = np.zeros((HEIGHT, WIDTH), np.uint8)
+    wide[:, 10:30] = 255
+    save(tmp_path / "mask.png", wide)
+    capture = read_capture(select(tmp_path))
+    np.testing.assert_array_equal(capture.mask, disc & (wide > 0))
+    assert "pixels of the mask are black in all photographs" in capture.notes[0]
+    capture = read_capture(select(tmp_path), mask=wide > 0)  # benchmarks' are obeyed
+    np.testing.assert_array_equal(capture.mask, wide > 0)
+    assert capture.notes == ()
+
+
+def test_dark_grey_is_not_black(tmp_path):
+    lit_disc(tmp_path, background=3)
+    capture = read_capture(select(tmp_path))
+    assert capture.mask.all() and capture.notes == ()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".webp"])
+def test_photographs_that_are_cut_out(tmp_path, suffix):
+    alpha = np.zeros((HEIGHT, WIDTH), np.uint8)
+    alpha[5:19, 8:31] = 127
+    alpha[6:18, 9:30] = 255
+    for i in range(3):
+        save(tmp_path / f"{i}{suffix}", np.dstack([smooth(np.uint8, i), alpha]))
+    capture = read_capture(select(tmp_path))
+    np.testing.assert_array_equal(capture.mask, alpha == 255)
+    assert "are transparent in a photograph: left out" in capture.notes[0]
+    half = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    half[:, :15] = 127  # nowhere transparent: no cut
+    for i in range(3):
+        save(tmp_path / f"{i}{suffix}", np.dstack([smooth(np.uint8, i), half]))
+    assert read_capture(select(tmp_path)).mask.all()
+
+
+def test_masks_of_other_formats(tmp_path):
+    save(tmp_path / "a.png", smooth(np.uint8))
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[3:9, 4:30] = True
+    Image.fromarray(mask.astype(np.uint8) * 255).save(tmp_path / "mask.gif")
+    np.testing.assert_array_equal(read_capture(select(tmp_path)).mask, mask)
+    (tmp_path / "mask.gif").unlink()
+    for name, top in (("mask.pgm", 255), ("mask.pnm", 7), ("mask.PGM", 1000)):
+        stored = (mask * top).astype(">u2" if top > 255 else np.uint8).tobytes()
+        header = f"P5\n# drawn by hand\n{WIDTH} {HEIGHT}\n{top}\n".encode()
+        (tmp_path / name).write_bytes(header + stored)
+        np.testing.assert_array_equal(read_capture(select(tmp_path)).mask, mask)
+        (tmp_path / name).unlink()
+    Image.fromarray(~mask).save(tmp_path / "mask.pbm")
+    np.testing.assert_array_equal(read_capture(select(tmp_path)).mask, ~mask)

@@ -12,8 +12,8 @@ import pytest
 from unips_jax.errors import InputError
 from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.io.images import read_image
-from unips_jax.io.names import SUFFIXES, is_map
-from unips_jax.io.photographs import read_photographs, select
+from unips_jax.io.photographs import read_photographs
+from unips_jax.io.selection import SUFFIXES, is_map, select
 
 HEIGHT, WIDTH = 23, 37
 
@@ -176,7 +176,7 @@ def touch(folder: Path, *names: str):
 
 def test_plain_folder_lists_what_is_left_out(tmp_path):
     touch(tmp_path, "b.PNG", "a.jpg", ".hidden.png", "normal.tif", "notes.txt")
-    touch(tmp_path, "mask.TIF", "c.heic", "depth.exr")
+    touch(tmp_path, "mask.TIF", "c.heic", "d.RAF", "depth.exr")
     (tmp_path / "sub.png").mkdir()
     selection = select(tmp_path)
     assert selection.names == ("a.jpg", "b.PNG")
@@ -185,6 +185,7 @@ def test_plain_folder_lists_what_is_left_out(tmp_path):
         "a map or output, by its name": ["depth.exr", "normal.tif"],
         "not an image": ["notes.txt"],
         ".heic is not read: export PNG or TIFF": ["c.heic"],
+        ".raf is not read: export PNG or TIFF": ["d.RAF"],
     }
 
 
@@ -199,6 +200,40 @@ def test_data_folders(tmp_path):
     }
     assert select(train).names == ("000.tif", "001.tif")
     assert select(other).names == ("a.png", "b.png")
+
+
+@pytest.mark.parametrize("name", ["metal_bowl_{}.png", "{:02}-goldMask.jpg"])
+def test_names_decide_only_between_files(tmp_path, name):
+    series = [name.format(i) for i in range(3)]
+    touch(tmp_path, *series, "normal.tif", "depth_1.exr", "depth_2.exr")
+    selection = select(tmp_path)
+    assert selection.names == tuple(series)
+    maps = ["depth_1.exr", "depth_2.exr", "normal.tif"]
+    assert selection.left_out == {"a map or output, by its name": maps}
+    touch(tmp_path, "a.png")
+    assert select(tmp_path).names == ("a.png",)
+
+
+def test_maps_alone_are_no_photographs(tmp_path):
+    touch(tmp_path, "normal_1.png", "normal_2.png", "ball_depth.png")
+    with pytest.raises(InputError, match="got none; 3 left out .a map or output"):
+        select(tmp_path)
+
+
+def test_patterns_overrule_names(tmp_path):
+    touch(tmp_path, "depth_1.png", "depth_2.png", "a.png", "b.PNG", "notes.txt")
+    touch(tmp_path, "mask.png")
+    chosen = select(tmp_path, include=["depth_*", "*.txt"], exclude=["*_2.png"])
+    assert chosen.names == ("depth_1.png",)
+    assert chosen.mask_file == tmp_path / "mask.png"
+    assert chosen.left_out == {
+        "not among --include": ["a.png", "b.PNG"],
+        "by --exclude": ["depth_2.png"],
+        "not an image": ["notes.txt"],
+    }
+    assert select(tmp_path, exclude=["mask*"]).mask_file is None
+    with pytest.raises(InputError, match="4 left out .not among --include."):
+        select(tmp_path, include=["*.exr"])
 
 
 def test_given_mask_is_no_photograph(tmp_path):

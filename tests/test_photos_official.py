@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from unips_jax.io.official import official_crop, read_official
-from unips_jax.io.photographs import select
+from unips_jax.io.selection import select
 
 
 @pytest.mark.parametrize(

@@ -25,9 +25,9 @@ from unips_jax.estimation.folders import (
     load_network,
     write_estimate,
 )
-from unips_jax.io.photographs import select
 from unips_jax.io.ps_wild import PSWildFolders, read_object
 from unips_jax.io.results import check_target
+from unips_jax.io.selection import select
 from unips_jax.pictures.estimate_sheet import write_sheet
 
 SAMPLE = Path(str(importlib.resources.files("unips_jax"))) / "assets" / "sample"

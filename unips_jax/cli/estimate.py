@@ -22,8 +22,8 @@ from unips_jax.estimation.folders import (
     load_network,
     random_network,
 )
-from unips_jax.io.photographs import folder_name
 from unips_jax.io.results import clear_leftovers
+from unips_jax.io.selection import folder_name
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,9 +1,7 @@
 """Folders of photographs to folders of results: read, advise, estimate, write.
 
-Transfer function: 8-bit files are taken as sRGB encoded, since cameras, phones and
-programs write them so; 16-bit and float files as linear, since raw converters for
-measurement, data sets and renderers write those so. `FolderOptions.transfer` overrules
-it.
+Transfer function: by the files' own colour tags, else by their type; see `io.color`.
+`FolderOptions.transfer` overrules it.
 """
 
 import dataclasses
@@ -19,9 +17,10 @@ from unips_jax.console import progress, track
 from unips_jax.errors import InputError
 from unips_jax.io.advice import capture_warnings
 from unips_jax.io.color import Transfer
+from unips_jax.io.images import MAX_PIXELS
 from unips_jax.io.normals import NormalMap, write_normals
 from unips_jax.io.official import read_official
-from unips_jax.io.photographs import Selection, read_capture, select
+from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.record import (
     HashingReader,
     complete_record,
@@ -39,6 +38,7 @@ from unips_jax.io.results import (
     read_record,
     write_record,
 )
+from unips_jax.io.selection import Selection, select
 from unips_jax.models.config import ModelConfig
 from unips_jax.pictures.estimate_sheet import write_sheet
 from unips_jax.provenance import code_hash
@@ -59,10 +59,15 @@ class FolderOptions:
 
     Attributes:
         mask: an image that is bright on the object, in place of the folder's mask.
+        include: patterns such as "img_*.png": the images they fit are the photographs,
+            whatever they are called.
+        exclude: patterns of files to leave out.
+        max_pixels: refuse larger images; all photographs of a folder together may have
+            ten times as many.
         max_images: use so many of the photographs, drawn with the seed.
         seed: of that draw.
-        transfer: how the photographs encode light (auto: 8 bit is srgb, the rest
-            linear).
+        transfer: how the photographs encode light (auto: by their colour tags; without
+            any, 8 bit is srgb and the rest linear).
         reader: official: the authors' square crop and resize, and all files linear;
             the results have that size.
         size: side in pixels that the official reader resizes to; 512 if not given.
@@ -72,6 +77,9 @@ class FolderOptions:
     """
 
     mask: Path | None = None
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    max_pixels: int = MAX_PIXELS
     max_images: int | None = None
     seed: int = 0
     transfer: Literal["auto", "linear", "srgb"] = "auto"
@@ -87,7 +95,10 @@ class FolderOptions:
         Raises:
             InputError: naming the option.
         """
-        for name, least in (("max_images", 1), ("seed", 0), ("size", 1)):
+        for name, least in (
+            *(("max_images", 1), ("max_pixels", 1)),
+            *(("seed", 0), ("size", 1)),
+        ):
             value = getattr(self, name)
             if value is not None and value < least:
                 option = name.replace("_", "-")
@@ -202,7 +213,9 @@ def estimate_folder(
     earlier = None if overwrite else read_record(target)
     selection = _select(folder, options)
     if earlier is not None:
-        made_from = _input_record(selection, network, options, HashingReader())
+        made_from = _input_record(
+            selection, network, options, HashingReader(options.max_pixels)
+        )
         if same_inputs(earlier, made_from):
             if verbose:
                 print(f"{folder}: {target} is up to date; --overwrite makes it anew")
@@ -233,11 +246,14 @@ def estimate_selection(
 
     if verbose:
         print_selection(selection)
-    reader = HashingReader()
-    images, mask, transfer = _read(selection, options, reader, verbose=verbose)
-    warnings = capture_warnings(images, mask, selection.names)
+    reader = HashingReader(options.max_pixels)
+    capture = _read(selection, options, reader, verbose=verbose)
+    images, mask, transfer = capture.images, capture.mask, capture.transfer
+    warnings = [*capture.notes, *capture_warnings(images, mask, selection.names)]
     made_from = _input_record(selection, network, options, reader)
-    record = complete_record(made_from, images, mask, transfer, warnings)
+    record = complete_record(
+        made_from, images, mask, transfer, capture.transfer_rule, warnings
+    )
     if verbose:
         print_record(record)
         for warning in warnings:
@@ -324,6 +340,8 @@ def _select(folder: Path, options: FolderOptions) -> Selection:
     return select(
         folder,
         mask_file=options.mask,
+        include=options.include,
+        exclude=options.exclude,
         max_images=options.max_images,
         seed=options.seed,
     )
@@ -335,14 +353,19 @@ def _read(
     reader: HashingReader,
     *,
     verbose: bool,
-) -> tuple[np.ndarray, np.ndarray, Transfer]:
+) -> Capture:
     if options.reader == "official":
-        images, mask, _ = read_official(selection, size=options.size or 512)
-        return images, mask, "linear"
+        size = options.size or 512
+        images, mask, _ = read_official(selection, size=size, read=reader)
+        return Capture(images, mask, "linear", "the authors' reader")
     tracked: Any = functools.partial(track, description="reading photographs")
-    read = read_capture(selection, track=tracked if verbose else iter, read=reader)
-    transfer = read.transfer if options.transfer == "auto" else options.transfer
-    return read.images, read.mask, transfer
+    return read_capture(
+        selection,
+        transfer=None if options.transfer == "auto" else options.transfer,
+        max_pixels=options.max_pixels,
+        read=reader,
+        track=tracked if verbose else iter,
+    )
 
 
 def _input_record(
@@ -354,6 +377,7 @@ def _input_record(
     # Where the mask lies is no matter: its contents are told apart by their hash.
     chosen = dataclasses.asdict(dataclasses.replace(options, mask=None))
     del chosen["mask"]
+    chosen |= {name: list(chosen[name]) for name in ("include", "exclude")}  # as JSON
     normals = selection.folder / "normal.tif"
     if options.reader == "official" and not selection.mask_file and normals.is_file():
         selection = dataclasses.replace(selection, mask_file=normals)

@@ -1,11 +1,16 @@
 """How pixel values encode light: transfer functions, in NumPy."""
 
+import dataclasses
+import struct
 from typing import Literal
 
 import numpy as np
 from numpy.typing import DTypeLike
 
 Transfer = Literal["linear", "srgb"]
+
+_SAMPLES = 1024
+_ALIKE = 0.01  # of linear light: sRGB and a gamma of 2.2 differ by 0.009 at most
 
 
 def as_float(image: np.ndarray) -> np.ndarray:
@@ -19,16 +24,120 @@ def as_float(image: np.ndarray) -> np.ndarray:
     return image.astype(np.float32, copy=False)
 
 
-def usual_transfer(dtype: DTypeLike) -> Transfer:
-    """How files of a type encode light: 8 bit sRGB, the rest linear.
+@dataclasses.dataclass(frozen=True)
+class Encoding:
+    """How a file's values encode light, and by which rule that is known.
 
-    Cameras, phones and programs write 8 bit so; raw converters for measurement, data
-    sets and renderers write 16 bit and float so.
+    Attributes:
+        transfer: the transfer function.
+        rule: what told it.
+        table: of integers: what each value is to be replaced by, so that the transfer
+            function holds; None where it holds already.
+    """
+
+    transfer: Transfer
+    rule: str
+    table: np.ndarray | None = None
+
+    def agrees(self, other: "Encoding") -> bool:
+        """Whether equal values encode equal light."""
+        if self.table is None or other.table is None:
+            return self.transfer == other.transfer and self.table is other.table
+        return np.array_equal(self.table, other.table)
+
+
+def encoding_of(
+    dtype: DTypeLike, *, icc: bytes = b"", gamma: float = 0, srgb: bool = False
+) -> Encoding:
+    """How a file's values encode light: by its colour profile, tags or type, in turn.
+
+    A curve other than linear and sRGB, such as ProPhoto's, is made sRGB by a table.
+    Without any tag 8 bit is sRGB, since cameras, phones and programs write it so, and
+    16 bit and float linear, since raw converters for measurement, data sets and
+    renderers write them so.
 
     Args:
         dtype: of the stored pixels.
+        icc: the colour profile; empty where there is none.
+        gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unsaid.
+        srgb: whether another tag says sRGB.
     """
-    return "srgb" if np.dtype(dtype) == np.uint8 else "linear"
+    curve = icc_curve(icc)
+    if curve is not None:
+        return _encoding(np.dtype(dtype), curve, "colour profile in the file")
+    if srgb:
+        return Encoding("srgb", "sRGB tag in the file")
+    if gamma > 0:
+        curve = np.linspace(0, 1, _SAMPLES) ** (1 / gamma)
+        return _encoding(np.dtype(dtype), curve, f"gamma of {gamma:.3g} in the file")
+    name = {1: "8-bit values", 2: "16-bit values"}.get(np.dtype(dtype).itemsize)
+    transfer: Transfer = "srgb" if np.dtype(dtype) == np.uint8 else "linear"
+    return Encoding(transfer, name or "floating-point values")
+
+
+def icc_curve(profile: bytes) -> np.ndarray | None:
+    """Linear light over 1024 values from 0 to 1, by a profile's (green) tone curve.
+
+    Source: ICC.1:2022, 9.2 (tags), 10.6 `curveType`, 10.18 `parametricCurveType`.
+
+    Args:
+        profile: an ICC profile.
+
+    Returns:
+        `[1024]`; None where the profile has no such curve, or is damaged.
+    """
+    try:
+        (count,) = struct.unpack_from(">I", profile, 128)
+        tags = {
+            name: (start, length)
+            for name, start, length in struct.iter_unpack(
+                ">4sII", profile[132 : 132 + 12 * count]
+            )
+        }
+        start, length = tags.get(b"gTRC") or tags[b"kTRC"]
+        return _tone_curve(profile[start : start + length])
+    except (struct.error, KeyError, ValueError, ZeroDivisionError):
+        return None
+
+
+def _tone_curve(tag: bytes) -> np.ndarray:
+    x = np.linspace(0, 1, _SAMPLES)
+    if tag[:4] == b"curv":
+        (count,) = struct.unpack_from(">I", tag, 8)
+        values = np.frombuffer(tag, ">u2", count, 12) / 65535
+        if count == 0:
+            return x
+        if count == 1:
+            return x ** (values[0] * 65535 / 256)
+        return np.interp(x, np.linspace(0, 1, count), values)
+    if tag[:4] != b"para":
+        raise ValueError("no tone curve")
+    (kind,) = struct.unpack_from(">H", tag, 8)
+    names = ("g", "gab", "gabc", "gabcd", "gabcdef")[kind : kind + 1]
+    if not names:
+        raise ValueError("no tone curve")
+    numbers = struct.unpack_from(f">{len(names[0])}i", tag, 12)
+    p = dict.fromkeys("bcdef", 0.0) | {"a": 1.0}
+    p |= {name: n / 65536 for name, n in zip(names[0], numbers, strict=True)}
+    # The first kinds meet where a x + b = 0, below which c (their e and f) holds.
+    low, offset = (p["c"] * x + p["f"], p["e"]) if kind >= 3 else (p["c"], p["c"])
+    first = p["d"] if kind >= 3 else -p["b"] / p["a"]
+    power = np.maximum(p["a"] * x + p["b"], 0) ** p["g"] + offset
+    return np.clip(np.where(x >= first, power, low), 0, 1)
+
+
+def _encoding(dtype: np.dtype, curve: np.ndarray, rule: str) -> Encoding:
+    x = np.linspace(0, 1, _SAMPLES, dtype=np.float32)
+    if np.abs(curve - x).max() < _ALIKE:
+        return Encoding("linear", f"{rule}, linear")
+    if np.abs(curve - as_linear(x, "srgb")).max() < _ALIKE:
+        return Encoding("srgb", f"{rule}, sRGB")
+    if dtype.kind == "f":
+        return Encoding("linear", f"floating-point values, in spite of the {rule}")
+    top = np.iinfo(dtype).max
+    linear = np.interp(np.linspace(0, 1, top + 1), x, curve)
+    table = np.rint(srgb_encode(linear) * top).astype(dtype)
+    return Encoding("srgb", f"{rule}, of its own, made sRGB", table)
 
 
 def as_linear(image: np.ndarray, transfer: Transfer) -> np.ndarray:

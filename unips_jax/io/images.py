@@ -17,6 +17,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
+from unips_jax.io.color import Encoding, encoding_of
 from unips_jax.io.formats import Damaged, Encoded, NotRead, decode, open_encoded
 
 MAX_PIXELS = 200_000_000
@@ -45,6 +46,12 @@ class ImageFile:
     orientation: int
     focal: float | None
     header: Encoded
+
+    @property
+    def encoding(self) -> Encoding:
+        """How its values encode light, by its own tags."""
+        told = self.header
+        return encoding_of(told.dtype, icc=told.icc, gamma=told.gamma, srgb=told.srgb)
 
     @property
     def channels(self) -> int:

@@ -6,6 +6,9 @@ file is taken as linear. For everything else there is
 `io.photographs.read_photographs`.
 """
 
+from collections.abc import Callable
+from pathlib import Path
+
 import cv2
 import numpy as np
 
@@ -13,13 +16,17 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
 from unips_jax.io.images import ImageFile, read_image_file, require_finite
 from unips_jax.io.masks import mask_box
-from unips_jax.io.photographs import Selection, mask_for, require_orientation
+from unips_jax.io.photographs import mask_for, require_orientation
+from unips_jax.io.selection import Selection
 
 _MARGIN = 4
 
 
 def read_official(
-    selection: Selection, *, size: int = 512
+    selection: Selection,
+    *,
+    size: int = 512,
+    read: Callable[[Path], ImageFile] = read_image_file,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Reads photographs as the authors' reader does.
 
@@ -28,6 +35,7 @@ def read_official(
             of a folder without its own is where these normals have unit length. A
             training folder (photographs `0*` and `normal.tif`) is not cropped.
         size: side of the result in pixels.
+        read: reads a file.
 
     Returns:
         images `[N, size, size, 3]` (float32, linear RGB, mean 1 inside the mask and 0
@@ -38,22 +46,22 @@ def read_official(
         InputError: if a file cannot be used, sizes or orientations differ, or an
             image is black inside the mask.
     """
-    first = read_image_file(selection.files[0])
+    first = read(selection.files[0])
     shape = first.pixels.shape[:2]
     normal_file = selection.folder / "normal.tif"
     normals = None
     if normal_file.is_file():
-        normals = 2 * _sized(read_image_file(normal_file), shape) - 1
+        normals = 2 * _sized(read(normal_file), shape) - 1
     if selection.mask_file is None and normals is not None:
         mask = np.abs(1 - np.linalg.norm(normals, axis=-1)) < 1e-3
     else:
-        mask = mask_for(selection, shape)
+        mask = mask_for(selection, shape, read=read)
     training = normals is not None and selection.names[0].startswith("0")
     crop = (slice(None), slice(None)) if training else official_crop(mask)
     small_mask = _resized(mask.astype(np.uint8)[crop], size) > 0
     images = np.zeros((len(selection.files), size, size, 3), np.float32)
     for i, (image, path) in enumerate(zip(images, selection.files, strict=True)):
-        file = first if i == 0 else read_image_file(path)
+        file = first if i == 0 else read(path)
         require_orientation(file, first)
         image[:] = _resized(_sized(file, shape)[crop], size)
         mean = image[small_mask].mean(dtype=np.float64) if small_mask.any() else 0

@@ -1,16 +1,16 @@
-"""Reads a folder of photographs of one object, and its mask.
+"""Reads photographs of one object, and its mask.
 
-What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or else
-`0*`; elsewhere every image file. Never a normal, depth or material map, a mask, ground
-truth or this package's own output (`io.names`), and never hidden files. Files are
-sorted by name; whatever is left out is listed with its reason.
+Which files are taken: see `io.selection`.
 
 The mask is `mask.png` (or another format), or the file given; see `io.masks`. Without
-a mask the whole image counts: nothing is cropped or stretched. EXIF orientation: see
-`unips_jax.io.images`.
+a mask the whole image counts: nothing is cropped or stretched. Left out, mask or none,
+are pixels that are black in all photographs, where no method can tell anything, and
+those that are transparent in one that is cut out. EXIF orientation: see `io.images`.
+How values encode light: see `io.color`.
 """
 
 import dataclasses
+import functools
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,34 +19,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.color import Transfer, usual_transfer
-from unips_jax.io.images import ImageFile, read_image_file, require_finite
-from unips_jax.io.masks import mask_of
-from unips_jax.io.names import SUFFIXES, is_map
+from unips_jax.io.color import Encoding, Transfer
+from unips_jax.io.images import (
+    MAX_PIXELS,
+    ImageFile,
+    read_image_file,
+    require_finite,
+)
+from unips_jax.io.masks import above_half, mask_of
+from unips_jax.io.selection import Selection, select
 
-_RAW_SUFFIXES = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
-
-
-@dataclasses.dataclass(frozen=True)
-class Selection:
-    """Which files of a folder are photographs.
-
-    Attributes:
-        folder: the folder.
-        files: the photographs, sorted by name; at least one.
-        left_out: for each reason, the names left out for it.
-        mask_file: the mask, or None.
-    """
-
-    folder: Path
-    files: tuple[Path, ...]
-    left_out: dict[str, list[str]]
-    mask_file: Path | None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The photographs' file names."""
-        return tuple(file.name for file in self.files)
+_BLACK = 2  # levels of 255 that count as black, as a JPEG leaves some
+_FILES = 10  # a set may have so many times the pixels that a file may have
 
 
 class Photographs(NamedTuple):
@@ -74,57 +58,18 @@ class Capture:
             are 0, as are values outside the mask that are not finite.
         mask: `[H, W]`, bool, with at least one pixel.
         transfer: how the values encode light.
+        transfer_rule: what told it.
         focal: focal length in pixels by the first file's EXIF data; None where it is
             not told.
+        notes: what was dealt with, one sentence each.
     """
 
     images: np.ndarray
     mask: np.ndarray
     transfer: Transfer
-    focal: float | None
-
-
-def select(
-    folder: Path,
-    *,
-    mask_file: Path | None = None,
-    max_images: int | None = None,
-    seed: int = 0,
-) -> Selection:
-    """Finds the photographs and the mask of a folder, without reading them.
-
-    Args:
-        folder: the folder.
-        mask_file: the mask, in place of the folder's own.
-        max_images: if the folder has more photographs, this many are drawn.
-        seed: seed of that draw; the same seed and files give the same choice.
-
-    Raises:
-        InputError: if there is no such folder, no photograph in it, no such mask, or
-            more than one mask.
-    """
-    if not folder.is_dir():
-        what = "a file" if folder.exists() else "nothing of this name"
-        hint = f"; give its folder, {folder.parent}" if folder.exists() else ""
-        raise InputError(
-            f"{folder}: expected a folder of photographs, got {what}{hint}"
-        )
-    try:
-        entries = [e for e in sorted(folder.iterdir()) if not e.name.startswith(".")]
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
-    mask_file = mask_file or _own_mask(folder, entries)
-    if mask_file and not mask_file.is_file():
-        raise InputError(f"{mask_file}: expected a mask's image file, got no such file")
-    files, left_out = _photographs(folder, entries, mask_file)
-    if not files:
-        raise InputError(_nothing_found(folder, entries, left_out))
-    if max_images is not None and max_images < len(files):
-        drawn = np.random.default_rng(seed).choice(len(files), max_images, False)
-        reason = f"not among the {max_images} drawn with seed {seed}"
-        left_out[reason] = [f.name for i, f in enumerate(files) if i not in drawn]
-        files = [files[i] for i in sorted(drawn)]
-    return Selection(folder, tuple(files), left_out, mask_file)
+    transfer_rule: str = ""
+    focal: float | None = None
+    notes: tuple[str, ...] = ()
 
 
 def read_photographs(
@@ -154,42 +99,134 @@ def read_photographs(
 def read_capture(
     selection: Selection,
     *,
-    track: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-    read: Callable[[Path], ImageFile] = read_image_file,
+    transfer: Transfer | None = None,
     mask: np.ndarray | None = None,
+    max_pixels: int = MAX_PIXELS,
+    read: Callable[[Path], ImageFile] | None = None,
+    track: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> Capture:
     """Does what `read_photographs` does, opens each file once and tells more.
 
     Args:
         selection: which files.
+        transfer: how the values encode light, in place of what the files tell.
+        mask: `[H, W]`, bool, to be taken as it is, in place of the selection's.
+        max_pixels: of a file; all photographs together may have ten times as many.
+        read: reads a photograph, or the mask, in place of `read_image_file`.
         track: wraps the list of files, to show progress.
-        read: reads one photograph, or the mask.
-        mask: `[H, W]`, bool, in place of the selection's mask file.
 
     Raises:
         InputError: as `read_photographs`.
     """
-    images = np.empty(0)
-    first: ImageFile | None = None
-    for i, path in enumerate(track(selection.files)):
+    read = read or functools.partial(read_image_file, max_pixels=max_pixels)
+    stack: _Stack | None = None
+    for path in track(selection.files):
         file = read(path)
-        if first is None:
-            first = dataclasses.replace(file, pixels=file.pixels[:0], alpha=None)
-            if mask is None:
-                mask = mask_for(selection, file.pixels.shape[:2], read=read)
-            shape = (len(selection.files), *mask.shape, 3)
-            images = np.empty(shape, file.pixels.dtype)
-        assert mask is not None
-        require_orientation(file, first)
-        _require_alike(file, first, images)
-        images[i] = file.pixels
-        if images.dtype == np.float32:
-            require_finite(path, images[i][mask])
-            np.nan_to_num(images[i], copy=False, nan=0, posinf=0, neginf=0)
-            np.maximum(images[i], 0, out=images[i])
-        _require_light(path, images[i], mask)
-    assert first is not None and mask is not None  # a selection has a file
-    return Capture(images, mask, usual_transfer(images.dtype), first.focal)
+        if stack is None:
+            shape = file.pixels.shape[:2]
+            _require_room(selection, shape, max_pixels)
+            inside = mask
+            if inside is None:
+                inside = mask_for(selection, shape, read=read)
+            stack = _Stack(file, len(selection.files), inside, transfer)
+        stack.add(file)
+    assert stack is not None  # a selection has a file
+    notes: list[str] = []
+    if mask is None:
+        notes = stack.leave_out(whole=selection.mask_file is None)
+    encoding = stack.encoding
+    return Capture(
+        stack.images,
+        stack.mask,
+        encoding.transfer,
+        encoding.rule,
+        stack.first.focal,
+        tuple(notes),
+    )
+
+
+class _Stack:
+    """Photographs that are read one by one, each compared with the first."""
+
+    def __init__(
+        self,
+        first: ImageFile,
+        count: int,
+        mask: np.ndarray,
+        transfer: Transfer | None,
+    ) -> None:
+        self.first = dataclasses.replace(first, pixels=first.pixels[:0], alpha=None)
+        self.mask = mask
+        self.images = np.empty((count, *mask.shape, 3), first.pixels.dtype)
+        self.lit = np.zeros(mask.shape, bool)
+        self.opaque = np.ones(mask.shape, bool)
+        self.told = transfer is not None
+        self.encoding = (
+            first.encoding if transfer is None else Encoding(transfer, "--transfer")
+        )
+        self._size = 0
+
+    def add(self, file: ImageFile) -> None:
+        """Takes one photograph, or says why it does not fit."""
+        require_orientation(file, self.first)
+        _require_alike(file, self.first, self.images)
+        if not self.told and not file.encoding.agrees(self.encoding):
+            raise InputError(
+                f"{file.path}: expected {self.encoding.transfer} values as "
+                f"{self.first.path.name} ({self.encoding.rule}), got "
+                f"{file.encoding.transfer} ones ({file.encoding.rule}); export all "
+                "photographs in the same way, or give --transfer"
+            )
+        image = self.images[self._size]
+        self._size += 1
+        image[:] = file.pixels
+        if self.encoding.table is not None:
+            image[:] = self.encoding.table[image]
+        if image.dtype == np.float32:
+            require_finite(file.path, image[self.mask])
+            np.nan_to_num(image, copy=False, nan=0, posinf=0, neginf=0)
+            np.maximum(image, 0, out=image)
+        _require_light(file.path, image, self.mask)
+        black = _BLACK if image.dtype == np.uint8 else 0
+        self.lit |= image.max(axis=-1) > black
+        if file.alpha is not None and not file.alpha.all():
+            self.opaque &= above_half(file.alpha)
+
+    def leave_out(self, *, whole: bool) -> list[str]:
+        """Takes from the mask what no photograph shows; says so.
+
+        Args:
+            whole: there was no mask.
+        """
+        notes = []
+        where = "of the whole image (no mask)" if whole else "of the mask"
+        for kept, what in (
+            (self.opaque, "that are transparent in a photograph"),
+            (self.lit, "that are black in all photographs"),
+        ):
+            out = int((self.mask & ~kept).sum())
+            left = self.mask & kept
+            if out and not left.any():
+                raise InputError(
+                    f"{self.first.path.parent}: expected photographs of an object, got "
+                    f"none of {int(self.mask.sum())} pixels besides those {what}; "
+                    "check the mask"
+                )
+            if out:
+                notes.append(f"{out} pixels {where} {what[5:]}: left out")
+            self.mask = left
+        return notes
+
+
+def _require_room(selection: Selection, shape: tuple[int, ...], limit: int) -> None:
+    count = len(selection.files)
+    if count * shape[0] * shape[1] > _FILES * limit:
+        raise InputError(
+            f"{selection.folder}: expected at most {_FILES * limit:,} pixels in all "
+            f"photographs, got {count} of {_size(shape)} = "
+            f"{count * shape[0] * shape[1]:,}; make them smaller, use --max-images, or "
+            "raise --max-pixels"
+        )
 
 
 def mask_for(
@@ -221,15 +258,6 @@ def mask_for(
     return mask
 
 
-def folder_name(folder: Path) -> str:
-    """A folder's name as given (links are not followed), without ".data".
-
-    Bytes that are not Unicode are replaced by question marks.
-    """
-    name = os.fsencode(os.path.abspath(folder)).decode(errors="replace")  # noqa: PTH100
-    return Path(name).name.removesuffix(".data")
-
-
 def require_orientation(file: ImageFile, first: ImageFile) -> None:
     """Raises InputError if two photographs' EXIF orientations differ.
 
@@ -244,62 +272,6 @@ def require_orientation(file: ImageFile, first: ImageFile) -> None:
             "remove the tag from all files (exiftool -Orientation= FILES), else leave "
             "this one out"
         )
-
-
-def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
-    masks = [
-        e for e in entries if e.stem.lower() == "mask" and e.suffix.lower() in SUFFIXES
-    ]
-    if len(masks) > 1:
-        raise InputError(
-            f"{folder}: expected one mask, got {', '.join(m.name for m in masks)}; "
-            "keep one, or name it with --mask of `unips estimate`"
-        )
-    return masks[0] if masks else None
-
-
-def _photographs(
-    folder: Path, entries: list[Path], mask_file: Path | None
-) -> tuple[list[Path], dict[str, list[str]]]:
-    files: list[Path] = []
-    left_out: dict[str, list[str]] = {}
-    for entry in entries:
-        if entry.is_dir():
-            continue
-        suffix = entry.suffix.lower()
-        if mask_file is not None and entry.resolve() == mask_file.resolve():
-            continue
-        if suffix in _RAW_SUFFIXES:
-            left_out.setdefault(f"{suffix} is not read: export PNG or TIFF", []).append(
-                entry.name
-            )
-        elif suffix not in SUFFIXES:
-            left_out.setdefault("not an image", []).append(entry.name)
-        elif is_map(entry.name):
-            left_out.setdefault("a map or output, by its name", []).append(entry.name)
-        else:
-            files.append(entry)
-    if folder.resolve().suffix == ".data":
-        for prefix in ("L", "0"):
-            taken = [file for file in files if file.name.upper().startswith(prefix)]
-            if taken:
-                others = [file.name for file in files if file not in taken]
-                if others:
-                    left_out[f"not named {prefix}* in a .data folder"] = others
-                return taken, left_out
-    return files, left_out
-
-
-def _nothing_found(
-    folder: Path, entries: list[Path], left_out: dict[str, list[str]]
-) -> str:
-    text = f"{folder}: expected photographs ({', '.join(sorted(SUFFIXES))}), got none"
-    for reason, names in left_out.items():
-        text += f"; {len(names)} left out ({reason}), such as {names[0]}"
-    folders = [entry.name for entry in entries if entry.is_dir()]
-    if folders:
-        text += f"; it has folders, give those: {folder / folders[0]}"
-    return text
 
 
 def _require_alike(file: ImageFile, first: ImageFile, images: np.ndarray) -> None:

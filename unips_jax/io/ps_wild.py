@@ -30,8 +30,8 @@ import OpenEXR
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
 from unips_jax.io.images import read_image, write_image
-from unips_jax.io.names import is_photograph
 from unips_jax.io.normals import encode_normals, has_unit_length, read_normals
+from unips_jax.io.selection import is_photograph
 
 META, NORMALS, MASK = "meta.json", "normal.tif", "mask.png"
 FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to

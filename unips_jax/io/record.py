@@ -13,9 +13,9 @@ import numpy as np
 
 from unips_jax import __version__
 from unips_jax.io.color import Transfer
-from unips_jax.io.images import ImageFile, decode_image, read_bytes
-from unips_jax.io.photographs import Selection
+from unips_jax.io.images import MAX_PIXELS, ImageFile, decode_image, read_bytes
 from unips_jax.io.results import file_hash
+from unips_jax.io.selection import Selection
 
 _UNTRAINED = "RANDOM WEIGHTS: an untrained network, these normals mean nothing"
 _VERSIONS_OF = ("jax", "flax", "numpy", "opencv-python-headless")
@@ -24,15 +24,20 @@ _VERSIONS_OF = ("jax", "flax", "numpy", "opencv-python-headless")
 class HashingReader:
     """Reads image files, and knows their hashes from then on: each is opened once."""
 
-    def __init__(self) -> None:
-        """Knows no file."""
+    def __init__(self, max_pixels: int = MAX_PIXELS) -> None:
+        """Knows no file.
+
+        Args:
+            max_pixels: larger images are refused.
+        """
+        self._max_pixels = max_pixels
         self._hashes: dict[Path, str] = {}
 
     def __call__(self, path: Path) -> ImageFile:
         """Reads an image file; see `read_image_file`."""
-        data = read_bytes(path)
+        data = read_bytes(path, max_pixels=self._max_pixels)
         self._hashes[path] = hashlib.sha256(data).hexdigest()
-        return decode_image(data, path)
+        return decode_image(data, path, max_pixels=self._max_pixels)
 
     def hash(self, path: Path) -> str:
         """The SHA-256 of a file's contents, opened if it was not read here."""
@@ -99,6 +104,7 @@ def complete_record(
     images: np.ndarray,
     mask: np.ndarray,
     transfer: Transfer,
+    transfer_rule: str,
     warnings: list[str],
 ) -> dict[str, Any]:
     """The content of `normals.json`, less the files' hashes.
@@ -108,6 +114,7 @@ def complete_record(
         images: `[N, H, W, 3]`, as the network is given them.
         mask: `[H, W]`, bool.
         transfer: how the images encode light.
+        transfer_rule: what told it.
         warnings: about the capture.
     """
     now = datetime.datetime.now(datetime.UTC)
@@ -123,6 +130,7 @@ def complete_record(
         "height": mask.shape[0],
         "dtype": str(images.dtype),
         "transfer": transfer,
+        "transfer_rule": transfer_rule,
         "warnings": warnings,
     }
 
@@ -173,7 +181,7 @@ def print_record(record: dict[str, Any]) -> None:
     else:
         print_line(
             "transfer",
-            f"{record['transfer']} ({record['dtype']} pixels; "
+            f"{record['transfer']} ({record['transfer_rule']}; "
             "--transfer linear or srgb overrules)",
         )
     print_line("weights", f"{weights['name']} (hash {weights['hash'][:8]})")

@@ -11,15 +11,9 @@ from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
 from unips_jax.io.color import as_linear
 from unips_jax.io.images import ImageFile, decode_image, read_image_file
 from unips_jax.io.masks import read_mask
-from unips_jax.io.names import SUFFIXES
 from unips_jax.io.normals import has_unit_length, normals_of
-from unips_jax.io.photographs import (
-    Capture,
-    Selection,
-    folder_name,
-    read_capture,
-    select,
-)
+from unips_jax.io.photographs import Capture, read_capture
+from unips_jax.io.selection import SUFFIXES, Selection, folder_name, select
 
 _TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
 
@@ -92,7 +86,11 @@ class Folder(Benchmark):
         linear = np.empty(read.images.shape, np.float32)
         for place, image in zip(linear, read.images, strict=True):
             place[...] = as_linear(image, "srgb")
-        return linear, read.focal, ("8-bit photographs taken as sRGB and made linear",)
+        return (
+            linear,
+            read.focal,
+            (f"photographs taken as sRGB ({read.transfer_rule}) and made linear",),
+        )
 
     def checked_photographs(
         self, entry: Entry, mask: np.ndarray

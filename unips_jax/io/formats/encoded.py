@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from PIL import Image
 
-_ORIENTATION, _EXIF, _FOCAL_35MM = 0x0112, 0x8769, 0xA405
+_ORIENTATION, _EXIF, _FOCAL_35MM, _COLOURS = 0x0112, 0x8769, 0xA405, 0xA001
 
 
 class NotRead(Exception):  # noqa: N818
@@ -56,7 +56,7 @@ class Encoded:
 
 
 def exif_facts(block: bytes) -> dict[str, float]:
-    """Orientation and focal length in EXIF data; what is damaged counts as unsaid.
+    """What EXIF data tell; what is damaged counts as unsaid.
 
     Args:
         block: the data, with or without their `Exif` mark; may be empty.
@@ -74,13 +74,16 @@ def exif_facts(block: bytes) -> dict[str, float]:
                 tags = {**data, **data.get_ifd(_EXIF)}
         except Exception:  # Pillow raises many kinds for damaged data
             tags = {}
-    return facts_of(tags.get(_ORIENTATION), tags.get(_FOCAL_35MM))
+    return facts_of(tags.get(_ORIENTATION), tags.get(_FOCAL_35MM), tags.get(_COLOURS))
 
 
-def facts_of(orientation: object, focal_35mm: object) -> dict[str, float]:
-    """The fields of `Encoded` from values of the two tags, whatever they are."""
+def facts_of(
+    orientation: object, focal_35mm: object, colours: object
+) -> dict[str, float]:
+    """The fields of `Encoded` from values of three tags, whatever they are."""
     focal = focal_35mm if isinstance(focal_35mm, int | float) else 0
     return {
         "orientation": orientation if orientation in range(1, 9) else 1,  # type: ignore[dict-item]
         "focal_35mm": max(focal, 0),
+        "srgb": colours == 1,
     }

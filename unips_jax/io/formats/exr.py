@@ -17,7 +17,7 @@ import numpy as np
 import OpenEXR
 
 from unips_jax.io.formats.encoded import Encoded, NotRead
-from unips_jax.io.names import is_map
+from unips_jax.io.selection import is_map
 
 MAGIC = b"\x76\x2f\x31\x01"
 

@@ -1,11 +1,13 @@
 """JPEG, PNG, WebP, Radiance HDR, BMP, GIF and PNM."""
 
 import io
+import logging
 import re
 import struct
 import warnings
 import zlib
 from collections.abc import Iterator
+from typing import Any
 
 import imagecodecs
 import numpy as np
@@ -14,12 +16,16 @@ from PIL import Image
 
 from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, exif_facts
 
+# Its warnings, of chunks that are not needed, do not belong on a user's terminal.
+logging.getLogger("imagecodecs").addHandler(logging.NullHandler())
+
 JPEG_MAGIC = b"\xff\xd8\xff"
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC9, 0xCA}  # baseline, extended, progressive
 _OTHER_FRAMES = {0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+_CODED: dict[int, dict[str, Any]] = {8: {"gamma": 1.0}, 13: {"srgb": True}}
 _PROFILE_LIMIT = 4 << 20  # bytes of a colour profile
 _BYTE = np.dtype(np.uint8)
 
@@ -104,7 +110,7 @@ def open_png(data: bytes) -> Encoded:
         raise NotRead("an animated PNG")
     width, height, bits, colour = struct.unpack_from(">IIBB", chunks[b"IHDR"])
     transparent = b"tRNS" in chunks
-    (gamma,) = struct.unpack(">I", chunks.get(b"gAMA", b"\0\0\0\0"))
+    facts = exif_facts(chunks.get(b"eXIf", b""))
     return Encoded(
         "PNG",
         height,
@@ -114,11 +120,21 @@ def open_png(data: bytes) -> Encoded:
         np.dtype(np.uint16 if bits == 16 else np.uint8),
         lambda: imagecodecs.png_decode(data),
         checked=True,
-        icc=_unpacked_profile(chunks.get(b"iCCP", b"")),
-        gamma=gamma / 100_000,
-        srgb=b"sRGB" in chunks,
-        **exif_facts(chunks.get(b"eXIf", b"")),  # type: ignore[arg-type]
+        **{**facts, **_png_colours(chunks)},  # type: ignore[arg-type]
     )
+
+
+def _png_colours(chunks: dict[bytes, bytes]) -> dict[str, Any]:
+    """Fields of `Encoded`: what the first of cICP, iCCP, sRGB and gAMA says."""
+    if (code := chunks.get(b"cICP", b"\0\0")[1]) in _CODED:
+        return _CODED[code]
+    if icc := _unpacked_profile(chunks.get(b"iCCP", b"")):
+        return {"icc": icc}
+    if b"sRGB" in chunks:
+        return {"srgb": True}
+    if len(told := chunks.get(b"gAMA", b"")) == 4:
+        return {"gamma": int.from_bytes(told, "big") / 100_000}
+    return {}
 
 
 def _unpacked_profile(chunk: bytes) -> bytes:

@@ -81,7 +81,8 @@ def open_tiff(data: bytes) -> Encoded:
         return _scaled(pixels, bits, page.photometric == _WHITE_IS_ZERO, colours)
 
     exif = tags.valueof(_EXIF)
-    focal = exif.get("FocalLengthIn35mmFilm") if isinstance(exif, dict) else None
+    exif = exif if isinstance(exif, dict) else {}
+    told = exif.get("FocalLengthIn35mmFilm"), exif.get("ColorSpace")
     return Encoded(
         "TIFF",
         page.imagelength,
@@ -91,7 +92,7 @@ def open_tiff(data: bytes) -> Encoded:
         np.dtype(np.uint8 if palette else kind),
         lambda: decode().astype(np.uint8 if palette else kind, copy=False),
         icc=bytes(tags.valueof(_ICC) or b""),
-        **facts_of(tags.valueof(274), focal),  # type: ignore[arg-type]
+        **facts_of(tags.valueof(274), *told),  # type: ignore[arg-type]
     )
 
 

@@ -1,0 +1,162 @@
+"""A file's own tags say how its values encode light, before its type does."""
+
+import dataclasses
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from PIL import ImageCms
+from test_photos import save, smooth
+
+from unips_jax.errors import InputError
+from unips_jax.io.color import as_linear, encoding_of, icc_curve
+from unips_jax.io.images import read_image, read_image_file
+from unips_jax.io.photographs import read_capture, read_photographs
+from unips_jax.io.selection import select
+
+SRGB = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+X = np.linspace(0, 1, 1024)
+
+
+def profile(curve: bytes) -> bytes:
+    """No more of a profile than its tone curve."""
+    tags = struct.pack(">I4sII", 1, b"gTRC", 144, len(curve))
+    return bytes(128) + tags + curve
+
+
+def gamma_curve(exponent: float) -> bytes:
+    return b"curv" + struct.pack(">IIH", 0, 1, round(exponent * 256))
+
+
+def parametric(kind: int, *numbers: float) -> bytes:
+    fixed = [round(number * 65536) for number in numbers]
+    return b"para" + struct.pack(f">IHH{len(fixed)}i", 0, kind, 0, *fixed)
+
+
+def chunk(name: bytes, body: bytes) -> bytes:
+    checksum = struct.pack(">I", zlib.crc32(name + body))
+    return struct.pack(">I", len(body)) + name + body + checksum
+
+
+def tagged_png(path, pixels, *chunks):
+    png = save(path, pixels).read_bytes()
+    path.write_bytes(png[:33] + b"".join(chunks) + png[33:])
+    return path
+
+
+def png_profile(icc: bytes) -> bytes:
+    return chunk(b"iCCP", b"name\0\0" + zlib.compress(icc))
+
+
+LINEAR = profile(b"curv" + struct.pack(">II", 0, 0))
+GAMMA_22 = chunk(b"gAMA", struct.pack(">I", 45455))
+GAMMA_1 = chunk(b"gAMA", struct.pack(">I", 100000))
+
+
+@pytest.mark.parametrize(
+    ("curve", "expected"),
+    [
+        (gamma_curve(1.8), X**1.8),
+        (b"curv" + struct.pack(">II3H", 0, 3, 0, 16384, 65535), None),
+        (parametric(0, 1.8), X**1.8),
+        (parametric(1, 2, 1.5, -0.5), np.maximum(1.5 * X - 0.5, 0) ** 2),
+        (parametric(2, 2, 0.9, -0.2, 0.1), np.maximum(0.9 * X - 0.2, 0) ** 2 + 0.1),
+        (parametric(3, 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045), "srgb"),
+        (parametric(4, 2, 0.9, 0.1, 0.5, 0.2, -0.05, 0.05), "seven"),
+    ],
+)
+def test_tone_curves_of_profiles(curve, expected):
+    if expected is None:
+        expected = np.interp(X, [0, 0.5, 1], [0, 16384 / 65535, 1])
+    elif isinstance(expected, str) and expected == "srgb":
+        expected = as_linear(X.astype(np.float32), "srgb")
+    elif isinstance(expected, str):
+        expected = np.where(X >= 0.2, (0.9 * X + 0.1) ** 2 - 0.05, 0.5 * X + 0.05)
+    found = icc_curve(profile(curve))
+    np.testing.assert_allclose(found, np.clip(expected, 0, 1), atol=2e-4)
+
+
+@pytest.mark.parametrize("cut", [0, 20, 131, 140, 143, 150])
+def test_damaged_profiles_are_none(cut):
+    assert icc_curve(profile(gamma_curve(1.8))[:cut]) is None
+    assert icc_curve(profile(b"mft2" + bytes(40))) is None
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize(
+    ("chunks", "transfer", "rule"),
+    [
+        ([png_profile(SRGB)], "srgb", "colour profile in the file, sRGB"),
+        ([png_profile(LINEAR)], "linear", "colour profile in the file, linear"),
+        ([chunk(b"sRGB", b"\0"), GAMMA_22], "srgb", "sRGB tag in the file"),
+        ([GAMMA_22], "srgb", "gamma of 0.455 in the file, sRGB"),
+        ([GAMMA_1], "linear", "gamma of 1 in the file, linear"),
+        ([png_profile(LINEAR), chunk(b"sRGB", b"\0")], "linear", "profile"),
+        ([chunk(b"cICP", b"\x01\x08\0\1"), png_profile(SRGB)], "linear", "gamma of 1"),
+        ([chunk(b"cICP", b"\x01\x0d\0\1"), GAMMA_1], "srgb", "sRGB tag in the file"),
+    ],
+)
+def test_tags_of_png(tmp_path, dtype, chunks, transfer, rule):
+    pixels = smooth(dtype)
+    tagged_png(tmp_path / "a.png", pixels, *chunks)
+    capture = read_capture(select(tmp_path))
+    assert capture.transfer == transfer and rule in capture.transfer_rule
+    np.testing.assert_array_equal(capture.images[0], pixels)
+    assert read_photographs(tmp_path).transfer == transfer
+
+
+def test_tags_of_tiff_jpeg_and_webp(tmp_path):
+    pixels = smooth(np.uint16)
+    tags = [(34675, "B", len(SRGB), SRGB, True)]
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, pixels, photometric="rgb", extratags=tags)
+    encoding = read_image_file(path).encoding
+    assert (encoding.transfer, "profile" in encoding.rule) == ("srgb", True)
+    jpeg = save(tmp_path / "a.jpg", smooth(np.uint8)).read_bytes()
+    body = b"ICC_PROFILE\0\1\1" + LINEAR
+    segment = b"\xff\xe2" + struct.pack(">H", len(body) + 2) + body
+    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
+    assert read_image_file(tmp_path / "a.jpg").encoding.transfer == "linear"
+    webp = cv2.imencode(".webp", smooth(np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 101])[1]
+    chunk = b"ICCP" + struct.pack("<I", len(LINEAR)) + LINEAR
+    body = b"WEBP" + webp.tobytes()[12:] + chunk + b"\0" * (len(LINEAR) % 2)
+    path = tmp_path / "a.webp"
+    path.write_bytes(b"RIFF" + struct.pack("<I", len(body)) + body)
+    assert read_image_file(path).encoding.transfer == "linear"
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.uint8, 6e-3), (np.uint16, 3e-5)])
+def test_other_curves_are_made_srgb(tmp_path, dtype, tolerance):
+    """As of ProPhoto, which raw converters write by default."""
+    icc = png_profile(profile(gamma_curve(1.8)))
+    path = tagged_png(tmp_path / "a.png", smooth(dtype), icc)
+    capture = read_capture(select(tmp_path))
+    assert capture.images.dtype == dtype and capture.transfer == "srgb"
+    light = as_linear(capture.images[0], "srgb")
+    expected = (read_image(path) / np.iinfo(dtype).max) ** (461 / 256)
+    assert np.abs(light - expected).max() < tolerance
+    chosen = read_capture(select(tmp_path), transfer="linear")
+    np.testing.assert_array_equal(chosen.images[0], smooth(dtype))
+    assert (chosen.transfer, chosen.transfer_rule) == ("linear", "--transfer")
+
+
+def test_without_tags_the_type_decides():
+    rules = {np.uint8: "srgb", np.uint16: "linear", np.float32: "linear"}
+    for dtype, transfer in rules.items():
+        assert encoding_of(dtype).transfer == transfer
+        assert "values" in encoding_of(dtype).rule
+    assert encoding_of(np.float32, icc=profile(gamma_curve(1.8))).transfer == "linear"
+
+
+def test_photographs_encode_light_alike(tmp_path):
+    save(tmp_path / "a.png", smooth(np.uint16))
+    tagged_png(tmp_path / "b.png", smooth(np.uint16, 1), GAMMA_22)
+    with pytest.raises(InputError, match=r"b\.png: expected linear values as a\.png"):
+        read_capture(select(tmp_path))
+    assert read_capture(select(tmp_path), transfer="srgb").transfer == "srgb"
+    tagged_png(tmp_path / "b.png", smooth(np.uint16, 1), GAMMA_1)
+    capture = read_capture(select(tmp_path))
+    assert dataclasses.asdict(capture)["transfer_rule"] == "16-bit values"

@@ -1,0 +1,234 @@
+"""Which files of a folder are photographs, and which is their mask. Reads none.
+
+What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or else
+`0*`; elsewhere every image file. Not a normal, depth or material map, a mask, ground
+truth or this package's own output, by their names (`is_map`), and never hidden files.
+Names decide only between files: if they leave none, a numbered series with such a word
+in its name (`metal_bowl_0.png`, ...) is taken. Patterns of the user's overrule names.
+Files are sorted by name; whatever is left out is listed with its reason.
+"""
+
+import dataclasses
+import fnmatch
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from unips_jax.errors import InputError
+
+SUFFIXES = frozenset(
+    ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split()
+    + ".pgm .ppm .pnm .pbm .gif".split()
+)
+
+_UNREAD_SUFFIXES = frozenset(
+    ".heic .heif .avif .jxl .jp2 .psd .xcf .svg .pdf .dng .cr2 .cr3 .crw .nef .nrw .arw"
+    " .srf .sr2 .raf .rw2 .rwl .orf .pef .srw .x3f .3fr .fff .iiq .mrw .kdc .dcr .erf"
+    " .mef .mos .raw".split()
+)
+
+_MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
+_MAP_NAME = re.compile(
+    # Such a word of its own.
+    rf"\b(?:{_MAP_WORDS}|albedo|gt)\b|^shading\b|^sheet$",
+    re.IGNORECASE,
+)
+_MAP_ONLY = re.compile(
+    rf"(?:{_MAP_WORDS}|albedo|shading|sheet|gt|[\W\d_])*", re.IGNORECASE
+)
+
+
+def is_map(name: str) -> bool:
+    """Whether a file is, by its name, a map or an output and no photograph.
+
+    Args:
+        name: the file's name, in any case. `normal_gt.png`, `objMask.tif` and
+            `baseColor.tif` are maps; `length_01.png` and `abnormal.jpg` are not.
+    """
+    words = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", Path(name).stem)
+    words = re.sub(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", " ", words).strip()
+    return bool(_MAP_NAME.search(words))
+
+
+def is_photograph(path: Path) -> bool:
+    """Whether a file is, by its name, an image, not hidden and no map.
+
+    Args:
+        path: of the file.
+    """
+    return (
+        path.suffix.lower() in SUFFIXES
+        and not path.name.startswith(".")
+        and not is_map(path.name)
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Selection:
+    """Which files of a folder are photographs.
+
+    Attributes:
+        folder: the folder.
+        files: the photographs, sorted by name; at least one.
+        left_out: for each reason, the names left out for it.
+        mask_file: the mask, or None.
+    """
+
+    folder: Path
+    files: tuple[Path, ...]
+    left_out: dict[str, list[str]]
+    mask_file: Path | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The photographs' file names."""
+        return tuple(file.name for file in self.files)
+
+
+def select(
+    folder: Path,
+    *,
+    mask_file: Path | None = None,
+    include: Sequence[str] = (),
+    exclude: Sequence[str] = (),
+    max_images: int | None = None,
+    seed: int = 0,
+) -> Selection:
+    """Finds the photographs and the mask of a folder, without reading them.
+
+    Args:
+        folder: the folder.
+        mask_file: the mask, in place of the folder's own.
+        include: patterns such as `img_*.png`; images whose names match one are the
+            photographs, whatever they are called, and no others.
+        exclude: patterns of names to leave out, the folder's own mask's too.
+        max_images: if the folder has more photographs, this many are drawn.
+        seed: seed of that draw; the same seed and files give the same choice.
+
+    Raises:
+        InputError: if there is no such folder, no photograph in it, no such mask, or
+            more than one mask.
+    """
+    if not folder.is_dir():
+        what = "a file" if folder.exists() else "nothing of this name"
+        hint = f"; give its folder, {folder.parent}" if folder.exists() else ""
+        raise InputError(
+            f"{folder}: expected a folder of photographs, got {what}{hint}"
+        )
+    try:
+        entries = [e for e in sorted(folder.iterdir()) if not e.name.startswith(".")]
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
+    if mask_file is None:
+        mask_file = _own_mask(folder, [e for e in entries if not _fits(e, exclude)])
+    if mask_file and not mask_file.is_file():
+        raise InputError(f"{mask_file}: expected a mask's image file, got no such file")
+    images, left_out = _images(entries, mask_file, include, exclude)
+    files = images if include else _by_name(folder, images, left_out)
+    if not files:
+        raise InputError(_nothing_found(folder, entries, left_out))
+    if max_images is not None and max_images < len(files):
+        drawn = np.random.default_rng(seed).choice(len(files), max_images, False)
+        reason = f"not among the {max_images} drawn with seed {seed}"
+        left_out[reason] = [f.name for i, f in enumerate(files) if i not in drawn]
+        files = [files[i] for i in sorted(drawn)]
+    return Selection(folder, tuple(files), left_out, mask_file)
+
+
+def folder_name(folder: Path) -> str:
+    """A folder's name as given (links are not followed), without ".data".
+
+    Bytes that are not Unicode are replaced by question marks.
+    """
+    name = os.fsencode(os.path.abspath(folder)).decode(errors="replace")  # noqa: PTH100
+    return Path(name).name.removesuffix(".data")
+
+
+def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
+    masks = [
+        e for e in entries if e.stem.lower() == "mask" and e.suffix.lower() in SUFFIXES
+    ]
+    if len(masks) > 1:
+        raise InputError(
+            f"{folder}: expected one mask, got {', '.join(m.name for m in masks)}; "
+            "keep one, or name it with --mask of `unips estimate`"
+        )
+    return masks[0] if masks else None
+
+
+def _images(
+    entries: list[Path],
+    mask_file: Path | None,
+    include: Sequence[str],
+    exclude: Sequence[str],
+) -> tuple[list[Path], dict[str, list[str]]]:
+    """The images that patterns leave, and what is left out, by reason."""
+    images: list[Path] = []
+    left_out: dict[str, list[str]] = {}
+    for entry in entries:
+        suffix = entry.suffix.lower()
+        if entry.is_dir() or (mask_file and entry.resolve() == mask_file.resolve()):
+            continue
+        if _fits(entry, exclude):
+            reason = "by --exclude"
+        elif suffix in _UNREAD_SUFFIXES:
+            reason = f"{suffix} is not read: export PNG or TIFF"
+        elif suffix not in SUFFIXES:
+            reason = "not an image"
+        elif entry.exists() and not entry.is_file():
+            reason = "a pipe or device, no regular file"
+        elif include and not _fits(entry, include):
+            reason = "not among --include"
+        else:
+            images.append(entry)
+            continue
+        left_out.setdefault(reason, []).append(entry.name)
+    return images, left_out
+
+
+def _fits(entry: Path, patterns: Sequence[str]) -> bool:
+    return any(fnmatch.fnmatch(entry.name, pattern) for pattern in patterns)
+
+
+def _by_name(
+    folder: Path, images: list[Path], left_out: dict[str, list[str]]
+) -> list[Path]:
+    """The photographs among images; adds the others to what is left out."""
+    files = [file for file in images if not is_map(file.name)] or _series(images)
+    maps = [file.name for file in images if file not in files]
+    if maps:
+        left_out["a map or output, by its name"] = maps
+    if folder.resolve().suffix == ".data":
+        for prefix in ("L", "0"):
+            taken = [file for file in files if file.name.upper().startswith(prefix)]
+            if taken:
+                others = [file.name for file in files if file not in taken]
+                if others:
+                    left_out[f"not named {prefix}* in a .data folder"] = others
+                return taken
+    return files
+
+
+def _series(maps: list[Path]) -> list[Path]:
+    """The largest set of files that differ by numbers and have a name besides."""
+    groups: dict[str, list[Path]] = {}
+    for file in maps:
+        if not _MAP_ONLY.fullmatch(file.stem):
+            groups.setdefault(re.sub(r"\d+", "0", file.name), []).append(file)
+    series = max(groups.values(), key=len, default=[])
+    return series if len(series) > 1 else []
+
+
+def _nothing_found(
+    folder: Path, entries: list[Path], left_out: dict[str, list[str]]
+) -> str:
+    text = f"{folder}: expected photographs ({', '.join(sorted(SUFFIXES))}), got none"
+    for reason, names in left_out.items():
+        text += f"; {len(names)} left out ({reason}), such as {names[0]}"
+    folders = [entry.name for entry in entries if entry.is_dir()]
+    if folders:
+        text += f"; it has folders, give those: {folder / folders[0]}"
+    return text
