@@ -357,7 +357,7 @@ def test_normalisations():
         assert np.ptp(gain) == 0
     scaled, gain = crops.normalise(images, mask, norm="none", per="image")
     np.testing.assert_array_equal(scaled, images)
-    with pytest.raises(ValueError, match="expected norm"):
+    with pytest.raises(ValueError, match="norm: expected one of"):
         crops.normalise(images, mask, norm="max", per="image")
 
 

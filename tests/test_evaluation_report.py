@@ -1,6 +1,7 @@
 """Sheets and the report, the latter in a real browser."""
 
 import io
+import itertools
 import json
 import re
 import shutil
@@ -11,13 +12,22 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from unips_jax import __version__
 from unips_jax.baselines.method import Observed
 from unips_jax.cli import eval as evaluation
 from unips_jax.errors import InputError
+from unips_jax.evaluation import summary
+from unips_jax.evaluation.charts import charts
+from unips_jax.evaluation.methods import NAMES
 from unips_jax.evaluation.protocols import Case
+from unips_jax.evaluation.report import Header, report
+from unips_jax.evaluation.runner import Result
+from unips_jax.evaluation.scores import Score
+from unips_jax.evaluation.sections import sections
 from unips_jax.evaluation.sheets import Panel, sheet
 from unips_jax.evaluation.store import Store
-from unips_jax.pictures import maps
+from unips_jax.evaluation.styles import COLORS, styles
+from unips_jax.pictures import fonts, maps
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 
@@ -58,7 +68,8 @@ def column(html, table, index):
         1
     )
     rows = re.findall(r"<tr.*?</tr>", body, re.S)
-    return [re.findall(r"<td.*?>(.*?)</td>", row, re.S)[index] for row in rows]
+    cells = [re.findall(r"<td.*?>(.*?)</td>", row, re.S)[index] for row in rows]
+    return [re.sub("<.*?>", "", cell) for cell in cells]
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
@@ -98,7 +109,7 @@ def test_report_needs_nothing_else(work):
     for word in ("summary", "objects", "categories", "images", "compare", "sheets"):
         assert f'id="{word}"' in html
     assert len(re.findall('class="sheet"', html)) == 6
-    assert html.count("image/svg+xml") == 4
+    assert html.count("<svg xmlns") == html.count('<figure class="chart">') == 4
 
 
 def best(html, table):
@@ -111,6 +122,7 @@ def best(html, table):
             [c for c, cell in enumerate(row) if re.search('class=".* best"', cell)],
         )
         for row in rows
+        if row  # no heading
     ]
 
 
@@ -125,7 +137,7 @@ def test_bold_compares_means_over_the_same_objects(work):
     assert objects[-1] == ("mean", [])
     assert not any(columns for _, columns in best(html, "angles"))
     label, columns = best(html, "summary")[0]
-    assert label.startswith("woodham") and columns == [3]
+    assert label.startswith("woodham") and columns == [2]
 
 
 def test_published_means_are_over_the_lightings_evaluated(work):
@@ -206,3 +218,151 @@ def test_pictures_are_white_outside_and_exact_inside():
         maps.photograph_picture(image, mask),
         [[[255, 188, 0], white, [255, 0, 0], white]],
     )
+
+
+# The report's sections
+
+
+def result_of(entry, label, *, mae=10.0, reason="", count=None):
+    """A result whose pixels are as many degrees off as their error's mean."""
+    numbers = [0] * 180
+    numbers[int(mae)] = 60
+    views = ((10,) * 6, (10 * mae,) * 6)
+    score = Score(60, mae, mae, (0.0,) * 4, tuple(numbers), *views, 0, 0)
+    tags = {"object": entry}
+    return Result(
+        *(entry, tags, [], label, count, 8),
+        *(None if reason else score, {}, reason, f"{entry}-{label}"),
+    )
+
+
+def results_of(*results):
+    labels = dict.fromkeys(result.label for result in results)
+    methods = dict.fromkeys(labels, "a method")
+    return summary.Results("ps-wild", "native", methods, [None], list(results))
+
+
+HEADER = Header("2026-01-02 03:04 UTC", "data", "unips eval", "0.1", {"a": "0f"})
+
+
+def section_of(results, name):
+    made = sections(results, summary.tables(results))
+    return next(section for section in made if section.name == name)
+
+
+def test_published_rows_are_apart_and_stay_so():
+    shown = section_of(results_of(result_of("ball", "flat")), "summary")
+    own, published = shown.parts
+    assert [row[0].text for row in own.rows] == ["flat"]
+    assert published.kind == "published" and "PS-Wild-Test" in published.heading
+    assert [row[0].text for row in published.rows][:2] == ["UniPS", "GCNet"]
+
+
+def test_ablations_are_collapsed():
+    results = results_of(result_of("ball", "flat"))
+    own, folded = section_of(results, "published").parts
+    assert {row[0].text for row in own.rows} == {"method"}
+    assert folded.kind == "folded" and "method" not in {r[0].text for r in folded.rows}
+    html = report(HEADER, results, summary.tables(results), []).decode()
+    details = re.search("<details>.*?</details>", html, re.S).group()
+    assert "max-pooling" in details
+    assert "max-pooling" not in html.replace(details, "")
+
+
+def test_unsupported_says_why():
+    results = results_of(
+        *(result_of("ball", "flat"), result_of("ball", "lit", reason="lit: no lights")),
+        *(result_of("cow", "flat"), result_of("cow", "lit", reason="lit: too few")),
+        *(result_of("mean", "flat"), result_of("mean", "lit", reason="lit: no lights")),
+    )
+    shown = section_of(results, "objects")
+    assert shown.notes == ["no lights", "too few"]
+    own, mean = shown.parts
+    assert [row[2].note for row in own.rows] == [1, 2, 1]
+    assert [row[1].note for row in own.rows] == [0, 0, 0]
+    # An object of this name is no mean.
+    assert len(own.rows) == 3 and mean.kind == "mean" and len(mean.rows) == 1
+
+
+def test_angles_are_over_common_objects():
+    results = results_of(
+        *(result_of("ball", "flat", mae=10.0), result_of("cow", "flat", mae=30.0)),
+        *(result_of("ball", "half", mae=2.0), result_of("cow", "half", reason="no")),
+    )
+    tables = {table.name: table for table in summary.tables(results)}
+    assert tables["angles"].columns == ["Angle", "Pixels", "flat"]
+    assert tables["angles"].rows[0] == ["0-15", 20, 20.0]
+    assert "2 objects" in tables["angles"].title
+
+
+def test_the_header_says_where_all_comes_from(work):
+    html = (work / "report.html").read_text()
+    header = re.search("<header>.*?</header>", html, re.S).group()
+    assert re.search(r'id="date">\d{4}-\d\d-\d\d \d\d:\d\d UTC<', header)
+    command = re.search(r'id="command">(.*?)<', header).group(1)
+    assert command.startswith("unips eval --benchmark ps-wild --root ")
+    assert __version__ in header and "hash " in header
+
+
+def test_colours_belong_to_methods():
+    assert set(COLORS) == set(NAMES) and len(set(COLORS.values())) == len(NAMES)
+    alone = styles(["mpm"])["mpm"].color
+    many = styles(["unips", "l1", "mpm\N{DAGGER}:merge=angles", "mpm"])
+    assert many["mpm\N{DAGGER}:merge=angles"].color == alone != many["mpm"].color
+    assert many["mpm"].dashes  # variants of one method differ in more than shade
+
+
+def test_lines_that_coincide_are_both_seen():
+    labels = ["unips a", "unips b", "constant"]
+    results = results_of(*(result_of("ball", label) for label in labels))
+    first, second, third = (style for _, style in charts(results)[0].legend)
+    assert first.width > second.width > third.width
+    assert not first.dashes and second.dashes
+
+
+def test_charts_on_one_page_share_no_names(work):
+    html = (work / "report.html").read_text()
+    svg = re.findall("<svg xmlns.*?</svg>", html, re.S)
+    names = [re.findall(r'\bid="(.*?)"', text) for text in svg]
+    assert len(set(sum(names, []))) == len(sum(names, []))
+    for text, known in zip(svg, names, strict=True):
+        used = re.findall(r'(?:url\(#|href="#)(.*?)[")]', text)
+        assert used and set(used) <= set(known)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.parametrize("width", [500, 1200])
+def test_long_and_foreign_names_keep_the_page_within_the_screen(tmp_path, width):
+    labels = ["a_name_" * 30, "測試用權重" * 12, "🐱" * 60, "<i>&amp;"]
+    results = results_of(
+        *map(result_of, *zip(*itertools.product(labels, labels), strict=True))
+    )
+    html = report(HEADER, results, summary.tables(results), []).decode()
+    script = "document.title = document.documentElement.scrollWidth - innerWidth"
+    page = tmp_path / "report.html"
+    page.write_text(html.replace("</body>", f"<script>{script}</script></body>"))
+    options = ("--dump-dom", f"--window-size={width},900")
+    dom, messages = browse(page, "", tmp_path / "a", *options)
+    assert messages == []
+    assert int(re.search("<title>(.*?)</title>", dom).group(1)) <= 0
+
+
+def test_names_of_any_script_can_be_drawn():
+    """Fonts or not: filterwarnings makes a missing character an error."""
+    name = "測試 кот 🐱👩\N{ZERO WIDTH JOINER}🔬 \ue000"
+    case = case_of()
+    panels = [Panel(name, case.normals, 1.0), Panel("x" * 200, None, None, "y " * 90)]
+    assert imread(io.BytesIO(sheet(name * 20, case, panels))).ndim == 3
+
+
+def test_missing_characters_become_squares():
+    text, families = fonts.drawable("a\ue000\N{ZERO WIDTH JOINER}é")
+    assert text.startswith("a\N{WHITE SQUARE}") and text.endswith("é")
+    assert "DejaVu Sans" in families
+
+
+def test_names_are_shortened_in_the_middle():
+    assert fonts.shorten("short", 5) == "short"
+    assert fonts.shorten("abcdefghij", 5) == "ab…ij"
+    wide = fonts.shorten("測試用權重" * 4, 11)
+    assert wide[0] == "測" and wide[-1] == "重" and fonts.text_width(wide) <= 11

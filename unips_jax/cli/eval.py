@@ -6,6 +6,7 @@ command started again, or beside itself, does only what is left.
 """
 
 import dataclasses
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -113,7 +114,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     plan = runner.Plan(
         benchmark, variants, protocol, counts, options.seed, fingerprints
     )
-    _evaluate(plan, Store(workdir), pictures=not options.no_pictures)
+    typed = shlex.join(["unips", "eval", *(sys.argv[1:] if argv is None else argv)])
+    _evaluate(plan, Store(workdir), typed, pictures=not options.no_pictures)
 
 
 def _check_options(options: Options) -> None:
@@ -140,7 +142,7 @@ def _check_workdir(workdir: Path, benchmark: Benchmark) -> None:
         raise InputError(f"--workdir {workdir} is not a folder")
 
 
-def _evaluate(plan: runner.Plan, store: Store, *, pictures: bool) -> None:
+def _evaluate(plan: runner.Plan, store: Store, typed: str, *, pictures: bool) -> None:
     tasks = runner.tasks_of(plan)
     left = [task for task in tasks if not store.done(task.name)]
     for _ in track(runner.execute(plan, left, store), "evaluating", total=len(left)):
@@ -159,7 +161,8 @@ def _evaluate(plan: runner.Plan, store: Store, *, pictures: bool) -> None:
     if pictures:
         drawn = publish.make_exhibits(plan, results, store)
         exhibits = list(track(drawn, "drawing", total=len(plan.benchmark)))
-        written.append(publish.write_report(store, results, tables, exhibits))
+        header = publish.header_of(plan, typed)
+        written.append(publish.write_report(store, header, results, tables, exhibits))
     table = tables[0]
     rows = [[text_of(cell) for cell in row] for row in table.rows]
     print_table(table.title, table.columns, rows)

@@ -1,90 +1,101 @@
-"""The report's charts, as SVG that is the same text every time."""
+"""The report's charts, as SVG that is the same text every time.
+
+They hold no names: the page's legend tells the lines apart by `line-0`, `line-1`, ...
+"""
 
 import io
-from typing import Any
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from unips_jax.evaluation.published import PUBLISHED
+from unips_jax.evaluation import published
+from unips_jax.evaluation.styles import PUBLISHED, Style, styles
 from unips_jax.evaluation.summary import Results
 from unips_jax.pictures.maps import ERROR_LIMIT_DEG
 
 _INK = "#1c2330"
 _SOFT = "#667085"
 _GRID = "#e4e7ec"
-_STYLES = ("-", "--", ":", "-.")
 
 
-def error_histogram(results: Results) -> bytes:
-    """Share of the pixels per degree of error, all objects together.
+class Chart(NamedTuple):
+    """A chart.
 
-    Returns:
-        An SVG; empty if nothing was scored.
+    Attributes:
+        title: one line.
+        svg: the drawing.
+        legend: name and style of each line, in order.
     """
+
+    title: str
+    svg: bytes
+    legend: Sequence[tuple[str, Style]]
+
+
+def charts(results: Results) -> list[Chart]:
+    """All charts that a run has data for."""
+    drawn = [_error_chart(results)]
+    drawn += [_images_chart(results, lit) for lit in results.lightings or (None,)]
+    return [chart for chart in drawn if chart.legend]
+
+
+def _error_chart(results: Results) -> Chart:
+    """Share of the pixels below an error; rising curves cover each other least."""
     figure, axes = _figure()
-    drawn = False
-    for i, label in enumerate(results.labels):
+    legend: list[tuple[str, Style]] = []
+    for label, style in styles(results.labels).items():
         own = results.of(label, results.main_count)
         counts = [result.score.histogram for result in own if result.score]
         if not counts:
             continue
-        drawn = True
         total = np.sum(counts, axis=0)
-        # Smooth over 2 degrees: single degrees of few pixels only make noise.
-        share = 100 * np.convolve(total, [0.25, 0.5, 0.25], "same") / total.sum()
-        degrees = np.arange(len(share)) + 0.5
-        shown = degrees < ERROR_LIMIT_DEG
-        axes.plot(degrees[shown], share[shown], label=label, **_line(i))
+        share = 100 * np.cumsum(total) / total.sum()
+        shown = np.append(0, share[: int(ERROR_LIMIT_DEG)])
+        _draw(axes, range(len(shown)), shown, style, len(legend))
+        some = "" if len(counts) == len(own) else f" ({len(counts)} of {len(own)})"
+        legend.append((label + some, style))
     axes.set_xlim(0, ERROR_LIMIT_DEG)
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 100)
     axes.set_xlabel("angular error (degrees)")
-    axes.set_ylabel("pixels (% per degree)")
-    return _svg(figure, axes) if drawn else b""
+    axes.set_ylabel("pixels below it (%)")
+    return Chart("How many pixels are below an error?", _svg(figure), legend)
 
 
-def images_chart(results: Results, lighting: str | None) -> bytes:
-    """Mean angular error against the number of images.
-
-    Args:
-        results: of a run.
-        lighting: one of the run's, or None for all objects.
-
-    Returns:
-        An SVG; empty where there are not two numbers of images.
-    """
+def _images_chart(results: Results, lighting: str | None) -> Chart:
+    """Mean angular error against the number of images, under one lighting or all."""
     figure, axes = _figure()
-    drawn = False
-    for i, label in enumerate(results.labels):
+    legend: list[tuple[str, Style]] = []
+    for label, style in styles(results.labels).items():
         points = [_point(results, label, count, lighting) for count in results.counts]
         known = sorted(point for point in points if point is not None)
         if len({number for number, _ in known}) < 2:
             continue
-        drawn = True
-        axes.plot(*zip(*known, strict=True), label=label, marker="o", **_line(i))
+        x, y = zip(*known, strict=True)
+        _draw(axes, x, y, style, len(legend), marker="o")
+        legend.append((label, style))
     rows = [
         row
-        for row in PUBLISHED.get(results.benchmark, ())
+        for row in published.PUBLISHED.get(results.benchmark, ())
         if row.group == "images" and lighting in row.scores
     ]
-    if drawn and rows and lighting is not None:
-        axes.plot(
-            [row.images or 0 for row in rows],
-            [row.scores[lighting] for row in rows],
-            label="UniPS (published)",
-            color="#98a2b3",
-            linestyle=(0, (1, 1.5)),
-            marker="s",
-            markersize=3,
-        )
+    if legend and rows and lighting is not None:
+        numbers = [row.images or 0 for row in rows]
+        scores = [row.scores[lighting] for row in rows]
+        style = Style(PUBLISHED, "1 1.5", 1.3)
+        _draw(axes, numbers, scores, style, len(legend), marker="s")
+        legend.append(("UniPS (published, other objects)", style))
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter(lambda value, position: f"{value:g}")
     axes.set_ylim(bottom=0)
     axes.set_xlabel("images")
     axes.set_ylabel("mean angular error (degrees)")
-    return _svg(figure, axes) if drawn else b""
+    title = "Mean error against the number of images"
+    title += f", {lighting}" if lighting else ""
+    return Chart(title, _svg(figure) if legend else b"", legend)
 
 
 def _point(
@@ -102,37 +113,40 @@ def _point(
     return sum(numbers) / len(numbers), sum(errors) / len(errors)
 
 
-def _line(i: int) -> dict[str, Any]:
-    colours = matplotlib.color_sequences["tab10"]
-    return {
-        "color": colours[i % 10],
-        "linestyle": _STYLES[i // 10 % len(_STYLES)],
-        "linewidth": 1.6,
-        "markersize": 4,
-    }
+def _draw(
+    axes: Axes,
+    x: Sequence[float],
+    y: Sequence[float] | np.ndarray,
+    style: Style,
+    i: int,
+    marker: str = "",
+) -> None:
+    (line,) = axes.plot(
+        *(x, y),
+        color=style.color,
+        linewidth=style.width,
+        marker=marker,
+        markersize=4,
+    )
+    if style.dashes:
+        line.set_dashes([float(length) for length in style.dashes.split()])
+    line.set_gid(f"line-{i}")
 
 
 def _figure() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    figure = Figure(figsize=(5.4, 3.4), layout="constrained")
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(_SOFT)
-    axes.tick_params(colors=_SOFT, labelsize=8)
+    axes.tick_params(colors=_SOFT, labelsize=9)
     axes.grid(color=_GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     for label in (axes.xaxis.label, axes.yaxis.label):
-        label.set(color=_INK, fontsize=9)
+        label.set(color=_INK, fontsize=10)
     return figure, axes
 
 
-def _svg(figure: Figure, axes: Axes) -> bytes:
-    axes.legend(
-        frameon=False,
-        fontsize=8,
-        labelcolor=_INK,
-        loc="center left",
-        bbox_to_anchor=(1.0, 0.5),
-    )
+def _svg(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "unips_jax"}):
         metadata = {"Date": None, "Creator": None}

@@ -1,18 +1,21 @@
 """Writes what people look at: tables, sheets, the report, submissions."""
 
+import datetime
 import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from unips_jax import __version__
 from unips_jax.evaluation.benchmarks import submission_bytes
 from unips_jax.evaluation.protocols import choose_images, show
-from unips_jax.evaluation.report import Exhibit, exhibit, report
+from unips_jax.evaluation.report import Exhibit, Header, exhibit, report
 from unips_jax.evaluation.runner import Plan, Result
 from unips_jax.evaluation.sheets import Panel, sheet
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.summary import TABLES, Results, Table
 from unips_jax.evaluation.tables import files_of
 from unips_jax.io.claims import slug, write_whole
+from unips_jax.provenance import code_hash
 
 
 def write_tables(store: Store, tables: Sequence[Table]) -> Path:
@@ -64,8 +67,33 @@ def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibi
         yield exhibit(entry.name, caption, data, case, panels)
 
 
+def header_of(plan: Plan, command: str) -> Header:
+    """Where a report of this plan comes from.
+
+    Args:
+        plan: what was evaluated.
+        command: what was typed.
+    """
+    digest = hashlib.blake2b("\n".join(plan.fingerprints).encode(), digest_size=8)
+    keys = {variant.label: variant.key for variant in plan.variants}
+    weights = {
+        label: key.get("weights") or key.get("options", {}).get("weights", "")
+        for label, key in keys.items()
+    }
+    now = datetime.datetime.now(datetime.UTC)
+    return Header(
+        date=f"{now:%Y-%m-%d %H:%M} UTC",
+        data=f"{plan.benchmark.name} in {plan.benchmark.root.resolve().name}, hash "
+        f"{digest.hexdigest()}",
+        command=command.replace(str(Path.home()), "~"),
+        version=f"{__version__}, code {code_hash('evaluation.publish')}",
+        weights={label: str(hash_) for label, hash_ in weights.items() if hash_},
+    )
+
+
 def write_report(
     store: Store,
+    header: Header,
     results: Results,
     tables: Sequence[Table],
     exhibits: Sequence[Exhibit],
@@ -77,7 +105,7 @@ def write_report(
     """
     path = store.root / "report.html"
     with store.claim("publish", wait=True):
-        write_whole(path, report(results, tables, exhibits))
+        write_whole(path, report(header, results, tables, exhibits))
     return path
 
 
@@ -110,7 +138,7 @@ def write_submissions(store: Store, results: Results) -> Path:
 def _panel(store: Store, result: Result) -> Panel:
     mae = result.score.mae if result.score else None
     normals = None if result.unsupported else store.normals(result.name)
-    return Panel(result.label, normals, mae)
+    return Panel(result.label, normals, mae, result.reason)
 
 
 def _caption(name: str, result: Result) -> str:

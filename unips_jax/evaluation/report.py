@@ -2,22 +2,42 @@
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from unips_jax.evaluation import charts
+from unips_jax.evaluation.charts import charts
 from unips_jax.evaluation.protocols import Case
 from unips_jax.evaluation.scores import error_map
+from unips_jax.evaluation.sections import sections
 from unips_jax.evaluation.sheets import Panel
-from unips_jax.evaluation.summary import Cell, Results, Table
+from unips_jax.evaluation.summary import Results, Table
 from unips_jax.evaluation.tables import TEMPLATES, environment
 from unips_jax.pictures.maps import error_picture, frame, normals_picture, shrink
 
 _PICTURE_LIMIT = 320
 _QUALITY = 88
+
+
+class Header(NamedTuple):
+    """Where a report comes from.
+
+    Attributes:
+        date: when it was written.
+        data: what was evaluated on, with a hash.
+        command: what was typed.
+        version: this program's, with a hash of its code.
+        weights: hashes of the weights, by method.
+    """
+
+    date: str
+    data: str
+    command: str
+    version: str
+    weights: Mapping[str, str]
 
 
 class Exhibit(NamedTuple):
@@ -81,11 +101,15 @@ def exhibit(
 
 
 def report(
-    results: Results, tables: Sequence[Table], exhibits: Sequence[Exhibit]
+    header: Header,
+    results: Results,
+    tables: Sequence[Table],
+    exhibits: Sequence[Exhibit],
 ) -> bytes:
     """Writes the page.
 
     Args:
+        header: of the page.
         results: of the run.
         tables: as `summary.tables` makes them.
         exhibits: the objects' pictures; may be empty.
@@ -107,9 +131,13 @@ def report(
     ]
     template = environment(html=True).get_template("report.html.j2")
     text = template.render(
+        header=header,
         results=results,
-        tables=[(table, _best(table, results), _numeric(table)) for table in tables],
-        charts=_charts(results),
+        sections=sections(results, tables),
+        charts=[
+            (chart.title, _inline(chart.svg, f"chart-{i}"), chart.legend)
+            for i, chart in enumerate(charts(results))
+        ],
         exhibits=exhibits,
         # "<" must not close the script element that holds the JSON.
         pictures=json.dumps(pictures).replace("<", "\\u003c"),
@@ -119,84 +147,13 @@ def report(
     return text.encode()
 
 
-def _charts(results: Results) -> list[tuple[str, str]]:
-    """Titles and data URIs of the charts that there is data for."""
-    drawn = [("How large are the errors?", charts.error_histogram(results))]
-    for lighting in results.lightings or (None,):
-        title = "Mean error against the number of images"
-        title += f", {lighting}" if lighting else ""
-        drawn.append((title, charts.images_chart(results, lighting)))
-    return [(title, _uri("image/svg+xml", svg)) for title, svg in drawn if svg]
-
-
-def _best(table: Table, results: Results) -> set[tuple[int, int]]:
-    """Cells to show in bold: the lowest of a row, or of a column in the summary.
-
-    Means over different objects do not compare: methods that lack some are left out.
-    """
-    best = set()
-    if table.name == "summary":
-        own = [r for r, row in enumerate(table.rows) if row[2] == "this run"]
-        for c, heading in enumerate(table.columns):
-            lit = {"lighting": heading} if heading in results.lightings else {}
-            complete = _complete(results, lit)
-            known = [
-                (_number(table.rows[r][c]), r)
-                for r in own
-                if table.rows[r][0] in complete
-            ]
-            values = [(v, r) for v, r in known if v is not None]
-            if values:
-                pick = max if heading.startswith("%") else min
-                best |= {(r, c) for v, r in values if v == pick(values)[0]}
-    elif table.name in ("objects", "categories", "views", "angles"):
-        for r, row in enumerate(table.rows):
-            mean = table.name != "objects" or row[0] == "mean"
-            picked = _complete(results, _tags(table, row)) if mean else results.labels
-            known = [
-                (_number(row[c]), c)
-                for c, name in enumerate(table.columns)
-                if name in picked
-            ]
-            values = [(v, c) for v, c in known if v is not None]
-            if len(values) > 1:
-                best |= {(r, c) for v, c in values if v == min(values)[0]}
-    return best
-
-
-def _tags(table: Table, row: Sequence[Cell]) -> dict[str, Cell]:
-    """What the objects have in common that a row of means is over."""
-    tag = {"categories": "category", "views": "view"}.get(table.name)
-    if tag is None:
-        return {}
-    lit = {"lighting": row[1]} if "Lighting" in table.columns else {}
-    return {tag: row[0], **lit}
-
-
-def _complete(results: Results, tags: Mapping[str, Cell]) -> set[str]:
-    """The methods that have scores of the most objects with these tags."""
-    scored = {
-        label: sum(
-            tags.items() <= result.tags.items()
-            for result in results.of(label, results.main_count)
-            if result.score
-        )
-        for label in results.labels
-    }
-    most = max(scored.values())
-    return {label for label, count in scored.items() if count == most}
-
-
-def _numeric(table: Table) -> set[int]:
-    """Columns that hold numbers, to be set flush right."""
-    columns = range(len(table.columns))
-    return {
-        c for c in columns if any(isinstance(row[c], int | float) for row in table.rows)
-    }
-
-
-def _number(cell: object) -> float | None:
-    return cell if isinstance(cell, float) else None
+def _inline(svg: bytes, name: str) -> str:
+    """A drawing for the page's own text, with names that no other drawing has."""
+    text = svg.decode()
+    text = text[text.index("<svg") :]
+    text = re.sub("<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    return re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", text)
 
 
 def _webp(picture: np.ndarray) -> str:

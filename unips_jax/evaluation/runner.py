@@ -9,6 +9,7 @@ the end.
 """
 
 import dataclasses
+import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -96,6 +97,11 @@ class Result:
     measures: Mapping[str, float]
     unsupported: str
     name: str
+
+    @property
+    def reason(self) -> str:
+        """Why the method could not run, without the method's name before it."""
+        return re.sub(r"^\w+: ", "", self.unsupported)
 
 
 def check_data(benchmark: Benchmark) -> Iterator[str]:

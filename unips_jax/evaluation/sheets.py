@@ -5,6 +5,7 @@ them the error maps with their mean, clipped at 80 degrees.
 """
 
 import io
+import textwrap
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from matplotlib.figure import Figure
 
 from unips_jax.evaluation.protocols import Case
 from unips_jax.evaluation.scores import error_map
+from unips_jax.pictures.fonts import drawable, shorten, text_width
 from unips_jax.pictures.maps import (
     COLOURS,
     ERROR_LIMIT_DEG,
@@ -32,6 +34,7 @@ _GAP = 0.08
 _LABEL = 0.28
 _DPI = 160
 _LEAST, _MOST = 5, 7
+_LETTERS = 10  # of a title, per inch
 _INK = "#1c2330"
 _SOFT = "#667085"
 
@@ -43,11 +46,13 @@ class Panel(NamedTuple):
         label: the method's.
         normals: `[h, w, 3]`; None where the method could not run.
         mae: mean angular error in degrees; None where there is no truth.
+        unsupported: why the method could not run; empty where it did.
     """
 
     label: str
     normals: np.ndarray | None
     mae: float | None
+    unsupported: str = ""
 
 
 def sheet(title: str, case: Case, panels: Sequence[Panel]) -> bytes:
@@ -66,10 +71,12 @@ def sheet(title: str, case: Case, panels: Sequence[Panel]) -> bytes:
     width = columns * _CELL + (columns + 1) * _GAP
     heights = [0.42, _CELL + _LABEL] + [2 * (_CELL + _LABEL)] * len(blocks)
     figure = Figure(figsize=(width, sum(heights) + _GAP), dpi=_DPI, facecolor="white")
+    title, families = drawable(shorten(title, int(width * _LETTERS)))
     figure.text(
         _GAP / width,
         1 - 0.25 / figure.get_figheight(),
         title,
+        fontfamily=families,
         fontsize=10,
         fontweight="bold",
         color=_INK,
@@ -124,6 +131,8 @@ class _Canvas:
 
     @staticmethod
     def caption(axes: Axes, text: str, soft: bool = False) -> None:
+        text, families = drawable(shorten(text, 38))
+        wide = text_width(text)
         axes.text(
             0.5,
             1.02,
@@ -131,7 +140,8 @@ class _Canvas:
             transform=axes.transAxes,
             ha="center",
             va="bottom",
-            fontsize=7.5 if len(text) < 26 else 6,
+            fontfamily=families,
+            fontsize=7.5 if wide < 26 else 6 if wide < 32 else 5,
             color=_SOFT if soft else _INK,
             parse_math=False,
         )
@@ -169,7 +179,15 @@ def _block(
         if panel.normals is None:
             canvas.caption(canvas.axes(column, top), panel.label)
             axes = canvas.axes(column, top)
-            axes.text(0.5, 0.5, "unsupported", ha="center", color=_SOFT, fontsize=7.5)
+            reason = textwrap.fill(f"unsupported: {panel.unsupported}", 27)
+            axes.text(
+                *(0.5, 0.5, reason),
+                ha="center",
+                va="center",
+                color=_SOFT,
+                fontsize=6,
+                parse_math=False,
+            )
             continue
         canvas.show(
             normals_picture(panel.normals, case.observed.mask), panel.label, column, top

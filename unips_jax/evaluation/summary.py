@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from unips_jax.evaluation.published import DATA, PUBLISHED, Published, comparable, mean
 from unips_jax.evaluation.runner import Result
-from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG
+from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG, Score
 
 Cell = str | int | float | None
 
@@ -260,28 +260,43 @@ def _groups(results: Results, tag: str, name: str, words: str) -> Table:
 
 
 def _angles(results: Results) -> Table:
+    labels, scores = _common(results)
     rows: list[list[Cell]] = []
     edges = VIEW_EDGES_DEG
     for i, (low, high) in enumerate(zip(edges, edges[1:], strict=False)):
-        cells: list[Cell] = []
-        pixels = 0
-        for label in results.labels:
-            own = results.of(label, results.main_count)
-            scores = [r.score for r in own if r.score]
-            count = sum(score.view_pixels[i] for score in scores)
-            total = sum(score.view_sums[i] for score in scores)
-            cells.append(total / count if count else None)
-            pixels = max(pixels, count)
+        pixels = (
+            sum(score.view_pixels[i] for score in scores[labels[0]]) if labels else 0
+        )
         if pixels:
+            sums = [sum(s.view_sums[i] for s in scores[label]) for label in labels]
             bounds = f"{low}-{high}" if high < edges[-1] else f"{low} and more"
-            rows.append([bounds, pixels, *cells])
+            rows.append([bounds, pixels, *(total / pixels for total in sums)])
+    count = len(scores[labels[0]]) if labels else 0
     return Table(
         "angles",
-        "Mean angular error in degrees by the angle between true normal and viewer "
-        "(over all pixels)",
-        ["Angle", "Pixels", *results.labels],
+        "Mean angular error in degrees by the angle between true normal and viewer, "
+        f"over all pixels of the {count} objects that these methods share",
+        ["Angle", "Pixels", *labels],
         rows,
     )
+
+
+def _common(results: Results) -> tuple[list[str], dict[str, list[Score]]]:
+    """The methods that share the most objects, and their scores of these."""
+    scored = {
+        label: {
+            result.entry: result.score
+            for result in results.of(label, results.main_count)
+            if result.score
+        }
+        for label in results.labels
+    }
+    most = max(len(own) for own in scored.values())
+    shared = set.intersection(*(set(o) for o in scored.values() if len(o) == most))
+    labels = [label for label, own in scored.items() if shared and shared <= set(own)]
+    return labels, {
+        label: [scored[label][entry] for entry in sorted(shared)] for label in labels
+    }
 
 
 def _measures(results: Results) -> Table:

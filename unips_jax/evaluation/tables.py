@@ -3,10 +3,12 @@
 import csv
 import io
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import jinja2
+import markupsafe
 
 from unips_jax.evaluation.summary import Cell, Table
 
@@ -45,6 +47,7 @@ def environment(*, html: bool = False) -> jinja2.Environment:
     )
     made.filters["cell"] = text_of
     made.filters["latex"] = _latex
+    made.filters["breakable"] = _breakable
     made.filters["markdown"] = lambda text: text.replace("|", r"\|")
     return made
 
@@ -78,6 +81,12 @@ def _csv(table: Table) -> str:
             "" if c is None else f"{c:.4f}" if isinstance(c, float) else c for c in row
         )
     return buffer.getvalue()
+
+
+def _breakable(text: str) -> markupsafe.Markup:
+    """A name for HTML, with places to break it where it is too long."""
+    escaped = str(markupsafe.escape(text))
+    return markupsafe.Markup(re.sub(r"([:,=_/])", r"\1<wbr>", escaped))
 
 
 def _latex(text: str) -> str:

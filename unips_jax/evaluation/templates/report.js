@@ -14,13 +14,16 @@ function compare(a, b) {
 }
 
 function sortTable(table, column, descending) {
-  const rows = [...table.tBodies[0].rows];
   const sign = descending ? -1 : 1;
-  rows.sort((first, second) => {
-    const a = cellKey(first, column), b = cellKey(second, column);
-    return a === null || b === null ? compare(a, b) : sign * compare(a, b);
-  });
-  table.tBodies[0].append(...rows);
+  // Each body for itself: what was published stays apart.
+  for (const body of table.querySelectorAll("tbody:not(.heading)")) {
+    const rows = [...body.rows];
+    rows.sort((first, second) => {
+      const a = cellKey(first, column), b = cellKey(second, column);
+      return a === null || b === null ? compare(a, b) : sign * compare(a, b);
+    });
+    body.append(...rows);
+  }
   for (const heading of table.tHead.rows[0].cells) heading.removeAttribute("aria-sort");
   const order = descending ? "descending" : "ascending";
   table.tHead.rows[0].cells[column].setAttribute("aria-sort", order);
@@ -38,6 +41,24 @@ const asked = /^#sort=([\w-]+)\.(\d+)(\.desc)?$/.exec(location.hash);
 if (asked) {
   const table = document.querySelector(`table[data-name="${asked[1]}"]`);
   if (table) sortTable(table, Number(asked[2]), Boolean(asked[3]));
+}
+
+// Legends: pointing at a method shows its line alone, a click hides or shows it.
+for (const chart of document.querySelectorAll(".chart")) {
+  for (const button of chart.querySelectorAll(".legend button")) {
+    const line = chart.querySelector(`[id$="-${button.dataset.line}"]`);
+    const light = (on) => {
+      chart.classList.toggle("picked", on);
+      line.classList.toggle("lit", on);
+    };
+    for (const event of ["pointerenter", "focus"]) button.addEventListener(event, () => light(true));
+    for (const event of ["pointerleave", "blur"]) button.addEventListener(event, () => light(false));
+    button.addEventListener("click", () => {
+      const shown = button.getAttribute("aria-pressed") !== "true";
+      button.setAttribute("aria-pressed", shown);
+      line.classList.toggle("off", !shown);
+    });
+  }
 }
 
 // The slider between truth and estimate.
