@@ -166,7 +166,7 @@ def test_lost_normals_are_named(tmp_path):
     stored = store.path("sphere").with_suffix(".png")
     for damage in (lambda: stored.write_bytes(b""), stored.unlink):
         damage()
-        with pytest.raises(InputError, match=r"sphere\.png: .*missing or damaged"):
+        with pytest.raises(InputError, match=r"sphere\.png: .*delete the \.json"):
             store.normals("sphere")
 
 
@@ -288,11 +288,13 @@ def test_angles_are_over_common_objects():
     results = results_of(
         *(result_of("ball", "flat", mae=10.0), result_of("cow", "flat", mae=30.0)),
         *(result_of("ball", "half", mae=2.0), result_of("cow", "half", reason="no")),
+        *(result_of("ball", "apart", reason="no"), result_of("cow", "apart", mae=5.0)),
     )
     tables = {table.name: table for table in summary.tables(results)}
-    assert tables["angles"].columns == ["Angle", "Pixels", "flat"]
-    assert tables["angles"].rows[0] == ["0-15", 20, 20.0]
-    assert "2 objects" in tables["angles"].title
+    # The third shares no object with the others, and so has no place beside them.
+    assert tables["angles"].columns == ["Angle", "Pixels", "flat", "half"]
+    assert tables["angles"].rows[0] == ["0-15", 10, 10.0, 2.0]
+    assert "1 object," in tables["angles"].title
 
 
 def test_the_header_says_where_all_comes_from(work):

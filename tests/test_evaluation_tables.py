@@ -66,11 +66,13 @@ def test_tables_by_hand():
         ["x", "sun", 2, 15, 4],
         ["y", "sky", 1, 9, None],
     ]
-    # Over pixels, not objects: 860 degrees on 50 pixels, 349 on 31.
+    # Over pixels, not objects, and only of x1, which both have: 10 and 30 pixels.
+    assert tables["angles"].columns == ["Angle", "Pixels", "a", "b"]
     assert tables["angles"].rows == [
-        ["0-15", 50, 860 / 50, 40 / 10],
-        ["15-30", 31, 349 / 31, 120 / 30],
+        ["0-15", 10, 60 / 10, 40 / 10],
+        ["15-30", 30, 340 / 30, 120 / 30],
     ]
+    assert "over the pixels of 1 object," in tables["angles"].title
     assert tables["measures"].rows == [["a", "light", 3, None, 3]]
     assert tables["methods"].rows == [["a", "first"], ["b", "second"]]
     assert tables["remarks"].rows == [

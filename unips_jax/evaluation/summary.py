@@ -272,17 +272,22 @@ def _angles(results: Results) -> Table:
             bounds = f"{low}-{high}" if high < edges[-1] else f"{low} and more"
             rows.append([bounds, pixels, *(total / pixels for total in sums)])
     count = len(scores[labels[0]]) if labels else 0
+    objects = "1 object" if count == 1 else f"{count} objects"
     return Table(
         "angles",
         "Mean angular error in degrees by the angle between true normal and viewer, "
-        f"over all pixels of the {count} objects that these methods share",
+        f"over the pixels of {objects}, all that these methods share",
         ["Angle", "Pixels", *labels],
         rows,
     )
 
 
 def _common(results: Results) -> tuple[list[str], dict[str, list[Score]]]:
-    """The methods that share the most objects, and their scores of these."""
+    """The methods that share objects, and their scores of these.
+
+    Methods that have more objects come first; one that shares none with those before
+    it is left out.
+    """
     scored = {
         label: {
             result.entry: result.score
@@ -291,11 +296,15 @@ def _common(results: Results) -> tuple[list[str], dict[str, list[Score]]]:
         }
         for label in results.labels
     }
-    most = max(len(own) for own in scored.values())
-    shared = set.intersection(*(set(o) for o in scored.values() if len(o) == most))
-    labels = [label for label, own in scored.items() if shared and shared <= set(own)]
-    return labels, {
-        label: [scored[label][entry] for entry in sorted(shared)] for label in labels
+    shared: set[str] = set()
+    kept: set[str] = set()
+    for label in sorted(scored, key=lambda label: -len(scored[label])):
+        both = shared & set(scored[label]) if kept else set(scored[label])
+        if both:
+            shared = both
+            kept.add(label)
+    return [label for label in results.labels if label in kept], {
+        label: [scored[label][entry] for entry in sorted(shared)] for label in kept
     }
 
 
