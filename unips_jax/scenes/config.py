@@ -40,6 +40,10 @@ class SceneConfig:
         noise_rate: share of scenes with visible sensor noise.
         blur_rate: share of scenes that are slightly blurred.
         mask_error_rate: share of scenes whose mask lost some of its border.
+        rim_rate: share of scenes before a background that most mix with at their
+            border, and with masks that are up to 4 pixels too large or 3 too small,
+            shifted, uneven or jagged, or exact; `mask_error_rate` is for the others.
+        side_rate: share of scenes lit from one side only, or from one quadrant.
     """
 
     light_weights: tuple[float, ...] = (0.3, 0.25, 0.25, 0.1, 0.1)
@@ -61,6 +65,8 @@ class SceneConfig:
     noise_rate: float = 0.6
     blur_rate: float = 0.3
     mask_error_rate: float = 0.15
+    rim_rate: float = 0.0
+    side_rate: float = 0.0
 
     def __post_init__(self) -> None:
         """Checks every field.
@@ -83,6 +89,7 @@ class SceneConfig:
         for name in (
             *("perspective_rate", "linear_rate", "noise_rate", "blur_rate"),
             *("mask_error_rate", "eight_bit_rate", "spare_rate"),
+            *("rim_rate", "side_rate"),
         ):
             rate = getattr(self, name)
             require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")

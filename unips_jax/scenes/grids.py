@@ -35,7 +35,7 @@ def pick(values: Array, mask: Array, stride: int) -> Array:
     return jnp.einsum("...hiwj,hwij->...hw", tiles, one_hot)
 
 
-def _stretch(coarse: int, stride: int) -> Array:
+def stretch(coarse: int, stride: int) -> Array:
     """Bilinear enlargement as a matrix, `[coarse * stride, coarse]`."""
     at = (jnp.arange(coarse * stride) + 0.5) / stride - 0.5
     at = jnp.clip(at, 0, coarse - 1)
@@ -53,5 +53,5 @@ def spread(values: Array, mask: Array, stride: int) -> Array:
     h, w = values.shape[-2:]
     full = jnp.any(mask.reshape(h, stride, w, stride), axis=(1, 3))
     weight = full.astype(jnp.float32) + 1e-6
-    rows, columns = _stretch(h, stride), _stretch(w, stride).T
+    rows, columns = stretch(h, stride), stretch(w, stride).T
     return (rows @ (values * weight) @ columns) / (rows @ weight @ columns)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
+from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.noise import Point, dot, rotate, sine
 
@@ -59,6 +60,22 @@ class Environment(NamedTuple):
     clutter: Array
     clutter_frequency: Array
     scale: Array
+
+
+class Sides(NamedTuple):
+    """From where all of a scene's images are lit.
+
+    Attributes:
+        one: whether from one side only.
+        corner: whether from one quadrant only.
+        axes: `[2, 3]`, to the middle of the side in the image plane, and across it.
+        turn: how far environments turn between images, as a share of a whole turn.
+    """
+
+    one: Array
+    corner: Array
+    axes: Array
+    turn: Array
 
 
 def _smooth_step(x: Array) -> Array:
@@ -119,8 +136,16 @@ def _warmth(draws: Draws, amount: float, *shape: int) -> Array:
     return jnp.exp(amount * warm * jnp.asarray([0.5, 0.0, -0.6]))
 
 
-def draw_environment(draws: Draws, num_images: int) -> Environment:
-    """Draws a sky, a room, a studio or a random mixture of lobes."""
+def draw_environment(
+    draws: Draws, num_images: int, turn: Array | float = 1.0
+) -> Environment:
+    """Draws a sky, a room, a studio or a random mixture of lobes.
+
+    Args:
+        draws: at least 80 + 5 N numbers.
+        num_images: N.
+        turn: how far it turns between images, as a share of a whole turn.
+    """
     kind = draws.choice([0.3, 0.3, 0.2, 0.2])
     sky, room, studio = kind == 0, kind == 1, kind == 2
     dim = draws.log_uniform(0.02, 0.25)
@@ -150,7 +175,8 @@ def draw_environment(draws: Draws, num_images: int) -> Environment:
     color = radiance[:, None] * _warmth(draws, 0.7, *shape)
     # Per image: any rotation for some scenes, for the others about the vertical only.
     free = draws.rotation(num_images)
-    yaw = rotation_about(1, draws.uniform(-math.pi, math.pi, num_images))
+    angles = turn * draws.uniform(-math.pi, math.pi, num_images)
+    yaw = rotation_about(1, angles)
     tilt = rotation_about(0, draws.uniform(-0.6, 0.6))
     rotation = jnp.where(draws.chance(0.25), free, yaw @ tilt)
     return Environment(
@@ -176,8 +202,34 @@ def _key_directions(draws: Draws, num_images: int) -> Array:
     return jnp.stack([ring * jnp.cos(angle), ring * jnp.sin(angle), z], -1)
 
 
+def draw_sides(draws: Draws, config: SceneConfig) -> Sides:
+    """Draws from where a scene is lit.
+
+    Args:
+        draws: at least 4 numbers.
+        config: `side_rate`.
+    """
+    one = draws.chance(config.side_rate)
+    angle = draws.uniform(0.0, 2 * math.pi)
+    cos, sin, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros(())
+    return Sides(
+        one=one,
+        corner=one & draws.chance(0.4),
+        axes=jnp.stack([jnp.stack([cos, sin, zero]), jnp.stack([-sin, cos, zero])]),
+        turn=jnp.where(one, draws.uniform(0.1, 0.4), 1.0),
+    )
+
+
+def _to_side(sides: Sides, direction: Array) -> Array:
+    """Mirrors directions `[N, 3]` that come from elsewhere."""
+    for used, axis in zip((sides.one, sides.corner), sides.axes, strict=True):
+        behind = jnp.minimum(direction @ axis, 0.0)
+        direction = direction - 2 * used * behind[:, None] * axis
+    return direction
+
+
 def draw_lights(
-    draws: Draws, kind: Array, num_images: int
+    draws: Draws, kind: Array, num_images: int, sides: Sides | None = None
 ) -> tuple[KeyLights, Environment]:
     """Draws one scene's lights.
 
@@ -185,12 +237,16 @@ def draw_lights(
         draws: at least 110 + 20 N numbers.
         kind: index into `LIGHT_KINDS`, int32 scalar.
         num_images: N.
+        sides: from where; None: from anywhere.
 
     Returns:
         Key lights and an environment; what the kind lacks has no brightness.
     """
-    environment = draw_environment(draws, num_images)
+    turn = 1.0 if sides is None else sides.turn
+    environment = draw_environment(draws, num_images, turn)
     direction = _key_directions(draws, num_images)
+    if sides is not None:
+        direction = _to_side(sides, direction)
     distance = draws.uniform(1.3, 3.0) * draws.uniform(0.8, 1.25, num_images)
     near = (kind == _POINT) | (kind == _AREA)
     area = kind == _AREA

@@ -10,8 +10,10 @@ from jax import Array
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.geometry import Geometry, render_geometry
-from unips_jax.scenes.lights import draw_lights
+from unips_jax.scenes.lights import draw_lights, draw_sides
 from unips_jax.scenes.materials import draw_surface
+from unips_jax.scenes.noise import normalize
+from unips_jax.scenes.rims import extend
 from unips_jax.scenes.sensor import record
 from unips_jax.scenes.shading import light_means, radiance, split
 from unips_jax.scenes.tracing import object_point
@@ -25,7 +27,8 @@ class Scene(NamedTuple):
             or not, zero outside the mask.
         mask: `[H, W]` bool.
         normals: `[H, W, 3]` float32, x right, y up, z to the viewer, unit inside the
-            mask, zero outside.
+            mask, zero outside. Where the mask is larger than the object
+            (`SceneConfig.rim_rate`) they continue those of its border.
         light_kind: index into `LIGHT_KINDS`.
         shape_kind: index into `SHAPE_KINDS`.
         material: index into `MATERIALS`.
@@ -80,17 +83,24 @@ def shade(
     inverse = 1 / shape.radius
     local = (local[0] * inverse, local[1] * inverse, local[2] * inverse)
     surface = draw_surface(key_surface, matter, local, geometry.height.reshape(-1))
+    sides = None
+    if config.side_rate:
+        sides = draw_sides(Draws(jax.random.fold_in(key_lights, 1), 8), config)
     keys, environment = draw_lights(
-        Draws(key_lights, 160 + 24 * num_images), light, num_images
+        Draws(key_lights, 160 + 24 * num_images), light, num_images, sides
     )
     linear = radiance(geometry, surface, keys, environment, config)
     linear = linear.reshape(num_images, 3, *geometry.mask.shape)
     images, mask, gain = record(key_sensor, linear, geometry.mask, config)
+    normals = geometry.normals
+    if config.rim_rate:  # masks may be larger than the object
+        beyond = normalize(tuple(extend(jnp.moveaxis(normals, -1, 0), geometry.mask)))
+        normals = jnp.where(geometry.mask[..., None], normals, jnp.stack(beyond, -1))
     directional = light == 0
     return Scene(
         images=jnp.moveaxis(images, 1, -1),
         mask=mask,
-        normals=geometry.normals * mask[..., None],
+        normals=normals * mask[..., None],
         light_kind=light,
         shape_kind=shape.kind,
         material=matter,

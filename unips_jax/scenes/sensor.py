@@ -7,6 +7,7 @@ from jax import Array
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.noise import pixel_noise
+from unips_jax.scenes.rims import Rims, band, draw_rims, miss, mix
 
 
 def exposure(radiance: Array, mask: Array, target: Array, spare: Array | bool) -> Array:
@@ -49,13 +50,7 @@ def blur(images: Array, mask: Array, amount: Array) -> Array:
         amount: scalar, 0 for none.
     """
     weight = mask.astype(jnp.float32)
-
-    def band(size: int) -> Array:
-        index = jnp.arange(size)
-        near = jnp.abs(index[:, None] - index) == 1
-        return jnp.eye(size) + amount * near
-
-    rows, columns = band(mask.shape[0]), band(mask.shape[1])
+    rows, columns = (band(size, amount) for size in mask.shape)
     return (rows @ images @ columns) / (rows @ weight @ columns + 1e-6)
 
 
@@ -82,6 +77,17 @@ def _response(x: Array, curve: Array, gamma: Array) -> Array:
     )
 
 
+def _rims(key: Array, images: Array, mask: Array) -> Rims:
+    key_draws, key_uniform = jax.random.split(key)
+    weight = mask / jnp.maximum(jnp.sum(mask), 1)
+    return draw_rims(
+        Draws(key_draws, 48 + 3 * images.shape[0]),
+        jax.random.uniform(key_uniform, mask.shape),
+        jnp.sum(images * weight, (2, 3)),
+        mask,
+    )
+
+
 def record(
     key: Array, radiance: Array, mask: Array, config: SceneConfig
 ) -> tuple[Array, Array, Array]:
@@ -91,11 +97,12 @@ def record(
         key: a random key.
         radiance: `[N, 3, H, W]`, linear.
         mask: `[H, W]` bool.
-        config: shares of noise, blur, curves and mask errors.
+        config: shares of noise, blur, curves, mixed borders and mask errors.
 
     Returns:
-        Images `[N, 3, H, W]`, at most 1, zero outside the mask; the mask; and the
-        factor of exposure and white balance, `[N, 3]`, before response and clipping.
+        Images `[N, 3, H, W]`, at most 1, zero outside the mask; the mask, which with
+        `rim_rate` may be `rims.REACH` pixels larger than the object; and the factor of
+        exposure and white balance, `[N, 3]`, before response and clipping.
     """
     key_draws, key_noise, key_mask = jax.random.split(key, 3)
     draws = Draws(key_draws, 32 + radiance.shape[0])
@@ -111,6 +118,11 @@ def record(
     images = radiance * gain[..., None, None] * mask
     amount = jnp.where(draws.chance(config.blur_rate), draws.uniform(0.0, 0.35), 0.0)
     images = blur(images, mask, amount)
+    rims = None
+    if config.rim_rate:
+        rims = _rims(jax.random.fold_in(key, 1), images, mask)
+        rimmed = jax.random.uniform(jax.random.fold_in(key, 2)) < config.rim_rate
+        images = jnp.where(rimmed, mix(rims, images, mask), images)
     noisy = draws.chance(config.noise_rate)
     shot = jnp.where(noisy, draws.log_uniform(1e-5, 1e-3), 1e-7)
     read = jnp.where(noisy, draws.log_uniform(1e-4, 5e-3), 1e-5)
@@ -126,5 +138,6 @@ def record(
     levels = jnp.where(coarse, 255.0, 65535.0)
     images = jnp.round(images * levels) / levels
     rate = jnp.where(draws.chance(config.mask_error_rate), draws.uniform(0.2, 1.0), 0)
-    mask = erode(mask, jax.random.uniform(key_mask, mask.shape), rate)
+    eroded = erode(mask, jax.random.uniform(key_mask, mask.shape), rate)
+    mask = eroded if rims is None else jnp.where(rimmed, miss(rims, mask), eroded)
     return images * mask, mask, gain
