@@ -72,12 +72,27 @@ def make_shape(
     )
 
 
-def look(shape, *, size=32, perspective=0.0, distance=3.0, half=1.0, config=CONFIG):
+def look(
+    shape,
+    *,
+    size=32,
+    perspective=0.0,
+    distance=3.0,
+    half=1.0,
+    config=CONFIG,
+    backdrop=None,
+):
     camera = tracing.Camera(
         jnp.float32(perspective), jnp.float32(distance), jnp.asarray([0.0, 0, half])
     )
     return jax.jit(
         lambda s: geometry.finish_geometry(
-            jax.random.key(0), s, jnp.eye(3), camera, size=size, config=config
+            jax.random.key(0),
+            s,
+            jnp.eye(3),
+            camera,
+            size=size,
+            config=config,
+            backdrop=backdrop,
         )
     )(shape)

@@ -11,6 +11,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from unips_jax.scenes.backdrop import (
+    Backdrop,
+    draw_backdrop,
+    meet,
+    open_sky,
+    widen_window,
+)
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.grids import pick, pixel_grid, spread
@@ -52,6 +59,8 @@ class Geometry(NamedTuple):
         camera: the camera.
         focal: 35 mm equivalent of the frame in mm; 0 for orthographic cameras.
         entropy: of the normals, in bits.
+        backdrop: table and wall; None where no scene has them.
+        ground: `[H, W]` bool, where these are seen; part of the mask.
     """
 
     mask: Array
@@ -66,6 +75,8 @@ class Geometry(NamedTuple):
     camera: Camera
     focal: Array
     entropy: Array
+    backdrop: Backdrop | None = None
+    ground: Array | None = None
 
 
 def normal_entropy_bits(normals: Array, mask: Array) -> Array:
@@ -274,8 +285,17 @@ def render_geometry(
     draws = Draws(key_camera, 16 + 8 * config.rotation_candidates)
     view = _draw_camera(draws, config, perspective)
     solid, pose, view, entropy = _pose_and_frame(draws, config, solid, view)
+    backdrop = None
+    if config.whole_frame_rate:
+        draws = Draws(jax.random.fold_in(key, 1), 32)
+        backdrop = draw_backdrop(draws, config.whole_frame_rate, ~is_flat(kind))
+        view = view._replace(window=widen_window(draws, backdrop, view.window))
     return finish_geometry(
-        key_basis, solid, pose, view, size=size, config=config, entropy=entropy
+        *(key_basis, solid, pose, view),
+        size=size,
+        config=config,
+        entropy=entropy,
+        backdrop=backdrop,
     )
 
 
@@ -288,6 +308,7 @@ def finish_geometry(
     size: int,
     config: SceneConfig,
     entropy: Array | float = 0.0,
+    backdrop: Backdrop | None = None,
 ) -> Geometry:
     """Finds what a camera sees of a given shape.
 
@@ -299,10 +320,23 @@ def finish_geometry(
         size: side of the images in pixels.
         config: the distribution of scenes.
         entropy: stored in the result.
+        backdrop: table and wall.
     """
     to_object = shape.radius * pose.T
     shape = _resolve_detail(shape, camera, size)
     mask, point, normal, view, relief = _visible_surface(shape, to_object, camera, size)
+    ground = None
+    if backdrop is not None:
+        ground = meet(backdrop, camera_rays(camera, *pixel_grid(size)), mask, point)
+        point, normal, relief = (
+            jax.tree.map(lambda new, old: jnp.where(ground.seen, new, old), *pair)
+            for pair in (
+                (ground.point, point),
+                (ground.normal, normal),
+                (jnp.zeros_like(relief), relief),
+            )
+        )
+        mask = mask | ground.seen
     draws = Draws(key, max(128, 2 * config.num_directions + 1))
     directions = _basis_directions(draws, config.num_directions)
     frame = (size, size)
@@ -313,6 +347,8 @@ def finish_geometry(
     relief, mask = fields[9], fields[10] > 0.5
     picked = pick(fields[:6], mask, SKY_STRIDE)
     coarse = _sky_visibility(shape, to_object, picked[:3], picked[3:], directions)
+    if backdrop is not None:
+        coarse = coarse * open_sky(backdrop, directions)[:, None, None]
     visibility = spread(coarse, mask, SKY_STRIDE)
     fields = jnp.moveaxis(fields, 0, -1)
     detail_ = shape.detail
@@ -332,4 +368,6 @@ def finish_geometry(
         camera=camera,
         focal=jnp.where(camera.perspective > 0, focal, 0.0),
         entropy=jnp.asarray(entropy, jnp.float32),
+        backdrop=backdrop,
+        ground=None if ground is None else ground.seen.reshape(frame),
     )

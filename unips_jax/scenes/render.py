@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from unips_jax.scenes.backdrop import above
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.geometry import Geometry, render_geometry
@@ -89,6 +90,14 @@ def shade(
     keys, environment = draw_lights(
         Draws(key_lights, 160 + 24 * num_images), light, num_images, sides
     )
+    if geometry.backdrop is not None and geometry.ground is not None:
+        key_ground = jax.random.fold_in(key_surface, 1)
+        other = Draws(key_ground, 1).choice(config.material_weights)
+        level = jnp.zeros_like(local[0])
+        around = draw_surface(jax.random.fold_in(key_ground, 1), other, local, level)
+        ground = geometry.ground.reshape(-1)
+        surface = jax.tree.map(lambda a, b: jnp.where(ground, a, b), around, surface)
+        keys = keys._replace(vector=above(geometry.backdrop, keys.vector))
     linear = radiance(geometry, surface, keys, environment, config)
     linear = linear.reshape(num_images, 3, *geometry.mask.shape)
     images, mask, gain = record(key_sensor, linear, geometry.mask, config)

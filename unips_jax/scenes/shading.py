@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from unips_jax.scenes.backdrop import ray_clearance
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.geometry import Geometry
 from unips_jax.scenes.grids import pick, spread
@@ -64,6 +65,9 @@ def key_clearance(geometry: Geometry, vector: Array, near: Array) -> Array:
         first=0.03,
         growth=0.22,
     )
+    if geometry.backdrop is not None:
+        blocked = ray_clearance(geometry.backdrop, origin, light, reach)  # type: ignore[arg-type]
+        clear = jnp.minimum(clear, blocked)
     clear = jnp.clip(clear, -0.5, 0.5).reshape(frame)
     return spread(clear, mask, KEY_STRIDE).reshape(-1)
 
