@@ -44,6 +44,7 @@ class SceneConfig:
             border, and with masks that are up to 4 pixels too large or 3 too small,
             shifted, uneven or jagged, or exact; `mask_error_rate` is for the others.
         side_rate: share of scenes lit from one side only, or from one quadrant.
+        photograph_rate: share of environments that are photographed, wholly or in part.
         whole_frame_rate: share, among objects other than reliefs and plates, of those
             on a table or before a wall, where the mask is everything.
     """
@@ -69,6 +70,7 @@ class SceneConfig:
     mask_error_rate: float = 0.15
     rim_rate: float = 0.0
     side_rate: float = 0.0
+    photograph_rate: float = 0.0
     whole_frame_rate: float = 0.0
 
     def __post_init__(self) -> None:
@@ -92,7 +94,7 @@ class SceneConfig:
         for name in (
             *("perspective_rate", "linear_rate", "noise_rate", "blur_rate"),
             *("mask_error_rate", "eight_bit_rate", "spare_rate"),
-            *("rim_rate", "side_rate", "whole_frame_rate"),
+            *("rim_rate", "side_rate", "photograph_rate", "whole_frame_rate"),
         ):
             rate = getattr(self, name)
             require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")

@@ -13,6 +13,7 @@ from jax import Array, lax
 
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws, rotation_about
+from unips_jax.scenes.environments import Photograph, load_tables, look_up
 from unips_jax.scenes.noise import Point, dot, rotate, sine
 
 NUM_LOBES = 6
@@ -48,6 +49,7 @@ class Environment(NamedTuple):
         clutter: contrast of fine structure seen in reflections.
         clutter_frequency: its cycles per unit of direction.
         scale: `[N]`, brightness in each image.
+        photograph: one in its place, whole or in part; None where no scene has any.
     """
 
     rotation: Array
@@ -60,6 +62,7 @@ class Environment(NamedTuple):
     clutter: Array
     clutter_frequency: Array
     scale: Array
+    photograph: Photograph | None = None
 
 
 class Sides(NamedTuple):
@@ -108,6 +111,10 @@ def environment_radiance(
             environment.zenith[c] - environment.horizon[c]
         )
         colors.append(environment.ground[c] + sky * (above - environment.ground[c]))
+    if environment.photograph is not None:
+        share = environment.photograph.share
+        seen = look_up(environment.photograph, d, blur)
+        colors = [c + share * (s - c) for c, s in zip(colors, seen, strict=True)]
     inverse = 1 / (blur + 0.01)
 
     def lobe(_: None, parameters: tuple[Array, Array]) -> tuple[None, Array]:
@@ -193,6 +200,66 @@ def draw_environment(
     )
 
 
+class Sun(NamedTuple):
+    """Of a photographed environment.
+
+    Attributes:
+        used: whether the scene has such an environment.
+        direction: `[3]`, in the environment's frame.
+        color: `[3]`, irradiance on what faces it.
+    """
+
+    used: Array
+    direction: Array
+    color: Array
+
+
+def draw_photograph(
+    draws: Draws, environment: Environment, rate: float
+) -> tuple[Environment, Sun]:
+    """Puts a photographed environment in the place of some of the drawn ones.
+
+    Args:
+        draws: at least 6 numbers.
+        environment: a drawn one.
+        rate: share of scenes.
+    """
+    tables = load_tables()
+    used = draws.chance(rate)
+    part = jnp.where(draws.chance(0.7), 1.0, draws.uniform(0.4, 1.0))
+    share = used * part
+    index = draws.choice(jnp.ones(len(tables.radiance)))
+    mirror = jnp.where(draws.chance(0.5), 1.0, -1.0)
+    tint = _warmth(draws, 0.4)
+    flip = jnp.stack([mirror, jnp.ones(()), jnp.ones(())])
+    direction = jnp.asarray(tables.sun_directions)[index] * flip
+    color = jnp.asarray(tables.sun_colors)[index] * tint * share
+    changed = environment._replace(
+        color=environment.color * (1 - share),
+        clutter=environment.clutter * (1 - share),
+        photograph=Photograph(index, share, mirror, tint),
+    )
+    return changed, Sun(used, direction, color)
+
+
+def _with_sun(environment: Environment, sun: Sun) -> Environment:
+    """The sun as one more lobe, three degrees wide, in the place of the first."""
+    helper = jnp.where(jnp.abs(sun.direction[1]) > 0.9, jnp.eye(3)[0], jnp.eye(3)[1])
+    right = jnp.cross(helper, sun.direction)
+    right = right / jnp.linalg.norm(right)
+    axes = jnp.stack([right, jnp.cross(sun.direction, right), sun.direction])
+    half = 0.025
+    values = (
+        (environment.axes, axes),
+        (environment.half, jnp.full(2, half)),
+        (environment.color, sun.color / (4 * half * half)),
+    )
+    axes, halves, color = (
+        old.at[0].set(jnp.where(sun.used, new, old[0])) for old, new in values
+    )
+    return environment._replace(axes=axes, half=halves, color=color)
+
+
 def _key_directions(draws: Draws, num_images: int) -> Array:
     """Directions over a cap around the viewer whose width varies by scene."""
     lowest = jnp.cos(draws.uniform(0.8, 1.65))
@@ -229,7 +296,11 @@ def _to_side(sides: Sides, direction: Array) -> Array:
 
 
 def draw_lights(
-    draws: Draws, kind: Array, num_images: int, sides: Sides | None = None
+    draws: Draws,
+    kind: Array,
+    num_images: int,
+    sides: Sides | None = None,
+    photographs: tuple[Draws, float] | None = None,
 ) -> tuple[KeyLights, Environment]:
     """Draws one scene's lights.
 
@@ -238,12 +309,18 @@ def draw_lights(
         kind: index into `LIGHT_KINDS`, int32 scalar.
         num_images: N.
         sides: from where; None: from anywhere.
+        photographs: what draws photographed environments, 6 numbers, and their share.
 
     Returns:
         Key lights and an environment; what the kind lacks has no brightness.
     """
     turn = 1.0 if sides is None else sides.turn
     environment = draw_environment(draws, num_images, turn)
+    sun_seen = None
+    if photographs is not None:
+        environment, sun_seen = draw_photograph(
+            photographs[0], environment, photographs[1]
+        )
     direction = _key_directions(draws, num_images)
     if sides is not None:
         direction = _to_side(sides, direction)
@@ -269,6 +346,14 @@ def draw_lights(
     share = jnp.where(kind == _MIXED, draws.log_uniform(0.3, 4.0), share)
     tint = _warmth(draws, 0.4, num_images) * _warmth(draws, 0.4)
     color = tint * (brightness * key_share)[:, None]
+    if sun_seen is not None:
+        # Where the key light is the sun it is the photograph's, with sharp shadows.
+        apart = sun_seen.used & from_sky
+        towards = jnp.einsum("nji,j->ni", environment.rotation, sun_seen.direction)
+        vector = jnp.where(apart, towards, vector)
+        color = jnp.where(apart, sun_seen.color * environment.scale[:, None], color)
+        rest = sun_seen._replace(color=sun_seen.color * ~apart)
+        environment = _with_sun(environment, rest)
     ones = jnp.ones(num_images)
     keys = KeyLights(vector, near * ones, radius * ones, color)
     return keys, environment._replace(scale=environment.scale * share)

@@ -87,9 +87,12 @@ def shade(
     sides = None
     if config.side_rate:
         sides = draw_sides(Draws(jax.random.fold_in(key_lights, 1), 8), config)
-    keys, environment = draw_lights(
-        Draws(key_lights, 160 + 24 * num_images), light, num_images, sides
-    )
+    photographs = None
+    if config.photograph_rate:
+        draws = Draws(jax.random.fold_in(key_lights, 2), 8)
+        photographs = draws, config.photograph_rate
+    draws = Draws(key_lights, 160 + 24 * num_images)
+    keys, environment = draw_lights(draws, light, num_images, sides, photographs)
     if geometry.backdrop is not None and geometry.ground is not None:
         key_ground = jax.random.fold_in(key_surface, 1)
         other = Draws(key_ground, 1).choice(config.material_weights)

@@ -1,0 +1,199 @@
+"""Fetches free assets from package registries, pinned, and makes tables of them.
+
+    python tools/fetch_assets.py assets --tables unips_jax/assets/environments.npz
+
+Needs `npm`. Writes `assets/environments/*.exr`, 18 photographed environments of 512 x
+256 pixels by Poly Haven (CC0-1.0), and `assets/LICENSES.md`. With `--tables`, also the
+file that `unips_jax.scenes.environments` reads: each environment blurred to five
+degrees, its sun apart. An archive whose hash is not the one below is refused.
+"""
+
+import argparse
+import base64
+import hashlib
+import io
+import subprocess
+import tarfile
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from unips_jax.claims import write_whole
+from unips_jax.command import InputError, command, make_folder
+from unips_jax.image_files import read_image
+from unips_jax.scenes.environments import BLURS, FLUX, TABLE_SIZE, directions_of
+
+_SUN_RADIUS, _RING = np.deg2rad(3.0), np.deg2rad(8.0)
+_LEAST_SUN = 0.08  # of an environment's light
+_PREFIX = b"export default 'data:application/exr;base64,"
+
+
+class Package(NamedTuple):
+    """What is fetched.
+
+    Attributes:
+        name: in the registry, with its version.
+        sha512: of the archive.
+        license: SPDX name.
+        about: what it holds.
+    """
+
+    name: str
+    sha512: str
+    license: str
+    about: str
+
+
+ENVIRONMENTS = Package(
+    "@pmndrs/assets@1.7.0",
+    "cc798a352fb726fbbd2b7cc90507d840a4fd3e7f4842df2cd2afde242dc25caa"
+    "56a7283a2016be8af37d3600e7f9f0d3d80563521d98459fff19752e7ae01d0a",
+    "CC0-1.0",
+    "18 environments photographed by Poly Haven",
+)
+
+
+def fetch(package: Package) -> bytes:
+    """The package's archive.
+
+    Raises:
+        InputError: if it cannot be had, or is another one.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            subprocess.run(
+                ["npm", "pack", "--silent", package.name],
+                cwd=folder,
+                check=True,
+                capture_output=True,
+                text=True,
+            )
+        except FileNotFoundError:
+            raise InputError("npm: expected on the path, found none") from None
+        except subprocess.CalledProcessError as error:
+            raise InputError(f"{package.name}: {error.stderr.strip()[-300:]}") from None
+        (archive,) = Path(folder).glob("*.tgz")
+        data = archive.read_bytes()
+    found = hashlib.sha512(data).hexdigest()
+    if found != package.sha512:
+        raise InputError(
+            f"{package.name}: expected an archive of SHA-512 {package.sha512[:16]}..., "
+            f"got {found[:16]}..."
+        )
+    return data
+
+
+def environments_of(archive: bytes) -> dict[str, bytes]:
+    """EXR files by name, out of the package's JavaScript.
+
+    Raises:
+        InputError: if there are none.
+    """
+    found = {}
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+        for member in tar.getmembers():
+            file = tar.extractfile(member)
+            if file is None or not member.name.endswith(".exr.js"):
+                continue
+            text = file.read().strip().removesuffix(b";").removesuffix(b"'")
+            if text.startswith(_PREFIX):
+                name = Path(member.name).name.removesuffix(".exr.js")
+                found[name] = base64.b64decode(text.removeprefix(_PREFIX))
+    if not found:
+        raise InputError(f"{ENVIRONMENTS.name}: expected files *.exr.js, found none")
+    return dict(sorted(found.items()))
+
+
+def split_sun(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Takes the brightest spot out of an environment, if it holds much of its light.
+
+    Args:
+        picture: `[H, W, 3]`, radiance, equirectangular, the zenith in row 0.
+
+    Returns:
+        The rest, the spot's direction `[3]`, and its irradiance on what faces it,
+        `[3]`; zero where there is no such spot.
+    """
+    towards, solid = directions_of(*picture.shape[:2])
+    brightness = picture.mean(-1)
+    peak = towards[np.unravel_index(np.argmax(brightness), brightness.shape)]
+    angle = np.arccos(np.clip(towards @ peak, -1, 1))
+    spot, ring = angle < _SUN_RADIUS, (angle > _SUN_RADIUS) & (angle < _RING)
+    around = np.median(picture[ring], axis=0)
+    excess = np.maximum(picture - around, 0) * spot[..., None]
+    color = np.sum(excess * solid[..., None], (0, 1))
+    total = np.sum(picture * solid[..., None], (0, 1))
+    if color.sum() < _LEAST_SUN * total.sum():
+        return picture, peak, np.zeros(3)
+    middle = np.sum(towards * (excess.mean(-1) * solid)[..., None], (0, 1))
+    return picture - excess, middle / np.linalg.norm(middle), color
+
+
+def blurred(pictures: np.ndarray) -> np.ndarray:
+    """Environments averaged over lobes of `BLURS`, `[E, L, h, w, 3]`.
+
+    Args:
+        pictures: `[E, H, W, 3]`.
+    """
+    out, _ = directions_of(*TABLE_SIZE)
+    levels = []
+    for blur in BLURS:
+        step = 2 if blur < 0.1 else 4
+        e, h, w, _ = pictures.shape
+        small = pictures.reshape(e, h // step, step, w // step, step, 3).mean((2, 4))
+        towards, solid = directions_of(h // step, w // step)
+        cosine = out.reshape(-1, 3).astype(np.float32) @ towards.reshape(-1, 3).T
+        weight = np.exp((cosine - 1) / blur**2) * solid.reshape(-1)
+        weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
+        level = np.einsum("op,epc->eoc", weight, small.reshape(e, -1, 3), optimize=True)
+        levels.append(level.reshape(e, *TABLE_SIZE, 3))
+    return np.stack(levels, 1)
+
+
+def tables_of(pictures: np.ndarray) -> dict[str, np.ndarray]:
+    """What `unips_jax.scenes.environments` reads, of pictures `[E, H, W, 3]`.
+
+    All are brought to the same flux, their sun included.
+    """
+    _, solid = directions_of(*pictures.shape[1:3])
+    flux = np.sum(pictures.mean(-1) * solid, (1, 2))
+    pictures = pictures * (FLUX / flux)[:, None, None, None]
+    rest, directions, colors = zip(*map(split_sun, pictures), strict=True)
+    return {
+        "radiance": blurred(np.stack(rest)).astype(np.float16),
+        "sun_directions": np.stack(directions).astype(np.float32),
+        "sun_colors": np.stack(colors).astype(np.float32),
+    }
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """Fetches, writes, and says what."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", metavar="DIR", type=Path)
+    parser.add_argument("--tables", type=Path, metavar="FILE", help="write them there")
+    arguments = parser.parse_args(argv)
+    make_folder(arguments.folder / "environments", "DIR")
+    pictures = []
+    for name, data in environments_of(fetch(ENVIRONMENTS)).items():
+        path = arguments.folder / "environments" / f"{name}.exr"
+        write_whole(path, data)
+        pictures.append(read_image(path).astype(np.float32)[..., :3])
+    line = f"- `environments/`: {ENVIRONMENTS.about}, {ENVIRONMENTS.license}, from "
+    text = f"# Licences\n\n{line}`{ENVIRONMENTS.name}`\n"
+    write_whole(arguments.folder / "LICENSES.md", text.encode())
+    print(f"wrote {len(pictures)} environments to {arguments.folder}")
+    if arguments.tables:
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **tables_of(np.stack(pictures)))  # type: ignore[arg-type]
+        write_whole(arguments.tables, buffer.getvalue())
+        print(f"wrote {arguments.tables}, {len(buffer.getvalue()) / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
