@@ -1,11 +1,13 @@
 """What README and the documentation show runs, and their links lead somewhere."""
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+SAMPLE = ROOT / "unips_jax" / "assets" / "sample" / "obj000.data"
 PAGES = [*ROOT.glob("*.md"), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
@@ -28,6 +30,10 @@ def test_readme_shows_python():
 
 @pytest.mark.parametrize("block", BLOCKS)
 def test_python_runs_as_pasted(block, tmp_path, monkeypatch):
+    """In a folder with photographs, as the documentation assumes."""
+    (tmp_path / "photographs").mkdir()
+    for name in ("L_00.png", "L_01.png", "mask.png"):
+        shutil.copy(SAMPLE / name, tmp_path / "photographs")
     monkeypatch.chdir(tmp_path)
     exec(compile(block, "block", "exec"), {"__name__": "__main__"})
 

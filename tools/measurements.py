@@ -220,20 +220,20 @@ MEASUREMENTS = {
         "Held-out scenes, by number of images",
         "256 scenes of the generator that trains, from keys that training never uses, "
         "128 x 128 pixels; a column per number of images.",
-        "unips validate --weights tiny --scenes 256 --images 1 2 4 8",
+        "unips validate --weights tiny --scenes 256 --images 1 2 4 8 --json",
         _validate,
     ),
     "more-images": Measurement(
         "More images",
         "The first 24 of these scenes.",
-        "unips validate --weights tiny --scenes 24 --images 8 16 32",
+        "unips validate --weights tiny --scenes 24 --images 8 16 32 --json",
         _validate,
     ),
     "uniform": Measurement(
         "Uniform material under directional light",
         "64 such scenes, 8 images.",
         "unips validate --weights tiny --scenes 64 --images 8 --light directional "
-        "--material uniform",
+        "--material uniform --json",
         _validate,
     ),
     "demo": Measurement(
