@@ -1,8 +1,11 @@
+import json
+
 import evaluation_data as data
 import numpy as np
 import pytest
 
-from unips_jax.command import InputError
+from unips_jax.cli import validate
+from unips_jax.errors import InputError
 from unips_jax.evaluation import real_sets, spheres
 
 
@@ -98,36 +101,39 @@ def test_known_lamps_give_the_normals_of_a_matt_object(tmp_path):
         list(real_sets.lamp_cases(folder))
 
 
-def test_the_table_has_means_objects_and_the_constant(tmp_path, capsys, monkeypatch):
+def test_the_command_has_means_objects_and_the_constant(tmp_path, capsys, monkeypatch):
     tilt = np.float32([0, np.sin(0.1), np.cos(0.1)])
     monkeypatch.setattr(
         real_sets, "unips", lambda source: lambda images, mask: mask[..., None] * tilt
     )
+    monkeypatch.setattr(real_sets, "sphere_cases", lambda offsets: iter(()))
     data.make_ps_wild(tmp_path / "mini", lightings=("directional",))
-    data.make_diligent(tmp_path / "dev", images=3, objects=("ball",), size=(32, 40))
-    arguments = ["--weights", "a", "b", "--num-images", "2", "--offsets"]
-    arguments += ["--diligent", str(tmp_path / "dev"), "--lamps", str(tmp_path / "no")]
-    assert not real_sets.main([*arguments, "--ps-wild", str(tmp_path / "mini")])
+    dev = tmp_path / "diligent_dev"
+    data.make_diligent(dev, images=12, objects=("ball",), size=(32, 40))
+    arguments = ["--real", "--weights", "a", "b", "--photographs", str(tmp_path)]
+    arguments += ["--ps-wild", str(tmp_path / "mini")]
+    assert not validate.main([*arguments, "--json"])
+    shown = capsys.readouterr()
+    cat = tmp_path / "photos" / "psbox_cat.data"
+    assert shown.err.strip() == f"skipped {cat}: no such folder"
+    found = json.loads(shown.out)
+    masks = [f"diligent, mask {offset:+d} px" for offset in real_sets.OFFSETS]
+    wanted = ["diligent, 10 images", "diligent, all", "mini, directional"]
+    assert sorted(found) == sorted([*wanted, *masks])
+    for rows in found.values():
+        for row in rows.values():
+            assert list(row) == ["a", "b", "constant normal"]
+            assert row["a"] == row["b"] != row["constant normal"] < 45
+    rows = dict(real_sets.table_rows(found))
+    mean = np.mean([rows[f"  directional/obj00{i}"] for i in range(2)], axis=0)
+    np.testing.assert_allclose(rows["mini, directional"], mean)
+    assert not validate.main(arguments)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"skipped {tmp_path / 'no'}: no such folder"
-    assert lines[1].split() == ["a", "b", "constant"]
-    rows = {line[:-54].strip(): line[-54:].split() for line in lines[2:]}
-    assert list(rows) == [
-        *("diligent, 2 images", "mini, directional"),
-        *("directional/obj000", "directional/obj001"),
-    ]
-    mean = np.float32([rows[f"directional/obj00{i}"] for i in range(2)]).mean(0)
-    np.testing.assert_allclose(np.float32(rows["mini, directional"]), mean, atol=0.011)
-    mask, normals = data.sphere(24, 24)
-    for row in rows.values():
-        assert row[0] == row[1] and 30 < float(row[2]) < 45
-        assert abs(float(row[0]) - float(row[2])) < 5.8
-    assert rows["mini, directional"][0] != rows["mini, directional"][2]
+    (line,) = (line for line in lines if "mini, directional" in line)
+    figures = [f"{figure:.2f}" for figure in rows["mini, directional"]]
+    assert all(figure in line for figure in figures)
 
 
-def test_without_any_set_one_line_says_so(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(real_sets, "unips", lambda source: None)
-    nowhere = str(tmp_path / "no")
-    arguments = ["--diligent", nowhere, "--lamps", nowhere, "--offsets"]
-    assert real_sets.main(arguments) == 2
-    assert "no set of photographs was found" in capsys.readouterr().err
+def test_several_weights_are_for_real_sets(capsys):
+    assert validate.main(["--weights", "a", "b"]) == 2
+    assert "--weights: expected one, got 2" in capsys.readouterr().err

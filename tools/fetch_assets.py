@@ -21,9 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from unips_jax.claims import write_whole
-from unips_jax.command import InputError, command, make_folder
-from unips_jax.image_files import read_image
+from unips_jax.console import command
+from unips_jax.errors import InputError
+from unips_jax.io.claims import make_folder, write_whole
+from unips_jax.io.images import read_image
 from unips_jax.scenes.environments import BLURS, FLUX, TABLE_SIZE, directions_of
 
 _SUN_RADIUS, _RING = np.deg2rad(3.0), np.deg2rad(8.0)

@@ -1,9 +1,8 @@
 """A yardstick for weights that is real: photographs, and borders as cameras see them.
 
-    python -m unips_jax.evaluation.real_sets --weights tiny runs/a/last.safetensors
-
 Scenes from the distribution that trained a network say little of how it does on
-photographs: weights are chosen by these sets, on none of which is ever trained.
+photographs: weights are chosen by these sets (`unips validate --real`), on none of
+which is ever trained.
 
 - DiLiGenT's objects that are there, 10 images and all; native protocol, as in
   `unips eval`.
@@ -17,7 +16,7 @@ photographs: weights are chosen by these sets, on none of which is ever trained.
 Sets that are absent are skipped with a line. A constant normal stands beside.
 """
 
-import argparse
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -26,19 +25,19 @@ import cv2
 import numpy as np
 
 from unips_jax.baselines.calibrated import woodham
-from unips_jax.baselines.method import Estimated, Lights
-from unips_jax.command import InputError, command, keep_compiled
+from unips_jax.baselines.method import Estimated, Lights, Observed
+from unips_jax.errors import InputError
 from unips_jax.evaluation import spheres
 from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.diligent import Diligent
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest
 from unips_jax.evaluation.protocols import Case, Protocol, choose_images, show
 from unips_jax.evaluation.scores import error_map
-from unips_jax.photos import read_photographs, select
+from unips_jax.io.color import as_linear
+from unips_jax.io.photographs import read_photographs
 
 OFFSETS = (-2, -1, 0, 1, 2, 5)
 _INNER = 4  # pixels inside the border: what masks 2 px too small leave, and two more
-_SHARED = Path("../shared")
 
 Estimate = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -110,11 +109,12 @@ def diligent_cases(
             yield _truly(f"diligent, {label}", item.name, case)
             if count != counts[0]:
                 continue
-            inner = wrong_mask(case.mask, -_INNER)
+            mask = case.observed.mask
             for offset in offsets:
-                wrong = case._replace(mask=wrong_mask(case.mask, offset))
                 group = f"diligent, mask {offset:+d} px"
-                yield _truly(group, item.name, wrong)._replace(scored=inner)
+                yield _truly(group, item.name, case)._replace(
+                    mask=wrong_mask(mask, offset), scored=wrong_mask(mask, -_INNER)
+                )
 
 
 def ps_wild_cases(root: Path) -> Iterator[RealCase]:
@@ -132,15 +132,14 @@ def lamp_cases(folder: Path) -> Iterator[RealCase]:
         folder: photographs, linear, their mask, and `light_directions*.txt`: three
             lines (x, y, z) of one column per image.
     """
-    selection = select(folder)
-    images, mask = read_photographs(selection)
+    images, mask, _ = read_photographs(folder)
     tables = sorted(folder.glob("light_directions*.txt"))
     if not tables:
         raise InputError(f"{folder}: expected light_directions*.txt, found none")
     directions = files.read_numbers(tables[0], len(images), "lights, a column each").T
     lights = Lights(directions, np.ones((len(images), 3)))
-    linear = images.astype(np.float32) / np.iinfo(images.dtype).max
-    normals = woodham()(linear, mask, lights=lights)
+    linear = as_linear(images, "linear")
+    normals = woodham()(Observed(linear, mask, lights))
     if isinstance(normals, Estimated):
         normals = normals.normals
     name = folder.name.removesuffix(".data")
@@ -169,20 +168,17 @@ def constant_normal(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return mask[..., None] * np.array([0, 0, 1], np.float32)
 
 
-def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
-    """Rows of groups, each followed by its objects, a column for each method."""
-    methods = list(next(iter(next(iter(found.values())).values())))
-    width = max(len(n) + 2 for g, rows in found.items() for n in (g, *rows))
-    lines = [" " * width + "".join(f"{m[-16:]:>18}" for m in methods)]
+def table_rows(
+    found: dict[str, dict[str, dict[str, float]]],
+) -> list[tuple[str, list[float]]]:
+    """Groups with their means, each followed by its objects: names and figures."""
+    table = []
     for group, rows in sorted(found.items(), key=lambda item: _natural(item[0])):
-        mean = [sum(row[m] for row in rows.values()) / len(rows) for m in methods]
-        named = [(group, mean)]
+        figures = [list(row.values()) for row in rows.values()]
+        table.append((group, np.mean(figures, axis=0).tolist()))
         if len(rows) > 1:
-            named += [(f"  {n}", list(row.values())) for n, row in rows.items()]
-        for name, values in named:
-            cells = "".join(f"{value:18.2f}" for value in values)
-            lines.append(f"{name:{width}}{cells}")
-    return "\n".join(lines)
+            table += [(f"  {n}", row) for n, row in zip(rows, figures, strict=True)]
+    return table
 
 
 def _natural(group: str) -> tuple[str, float]:
@@ -199,12 +195,13 @@ def _shown(item, protocol, count) -> Case:  # type: ignore[no-untyped-def]
 def _truly(group: str, name: str, case: Case) -> RealCase:
     if case.normals is None:
         raise InputError(f"{name}: expected true normals, found none")
-    return RealCase(group, name, case.images, case.mask, case.normals, case.mask)
+    images, mask = case.observed.images, case.observed.mask
+    return RealCase(group, name, images, mask, case.normals, mask)
 
 
 def unips(source: str) -> Estimate:
     """The network with some weights, a shipped name or a file."""
-    from unips_jax.streaming import estimate_photographs
+    from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.weights import load_weights
 
     config, params = load_weights(source)
@@ -214,62 +211,28 @@ def unips(source: str) -> Estimate:
 
 
 def real_cases(
+    root: Path,
+    ps_wild: Sequence[Path] = (),
     *,
-    diligent: Path,
-    lamps: Path,
-    ps_wild: Sequence[Path],
-    counts: Sequence[int | None],
-    offsets: Sequence[int],
+    counts: Sequence[int | None] = (10, None),
+    offsets: Sequence[int] = OFFSETS,
 ) -> Iterator[RealCase]:
-    """All sets; prints a line for each that is absent."""
-    if offsets:
-        yield from sphere_cases(offsets)
-    if diligent.is_dir():
-        yield from diligent_cases(diligent, counts, offsets)
-    if lamps.is_dir():
-        yield from lamp_cases(lamps)
-    for root in filter(Path.is_dir, ps_wild):
-        yield from ps_wild_cases(root)
-    for path in (diligent, lamps, *ps_wild):
-        if not path.is_dir():
-            print(f"skipped {path}: no such folder")
+    """All sets; prints a line for each that is absent.
 
-
-@command
-def main(argv: Sequence[str] | None = None) -> None:
-    """Prints the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--weights", nargs="+", default=["tiny"], help="names or files")
-    parser.add_argument("--diligent", type=Path, default=_SHARED / "diligent_dev")
-    parser.add_argument(
-        "--lamps", type=Path, default=_SHARED / "photos" / "psbox_cat.data"
-    )
-    parser.add_argument("--ps-wild", type=Path, nargs="*", default=[])
-    parser.add_argument(
-        "--num-images", nargs="+", default=["10", "all"], help="of DiLiGenT's objects"
-    )
-    parser.add_argument(
-        "--offsets", type=int, nargs="*", default=list(OFFSETS), help="of masks, pixels"
-    )
-    arguments = parser.parse_args(argv)
-    keep_compiled()
-    estimates = {source: unips(source) for source in arguments.weights}
-    found = score_all(
-        real_cases(
-            diligent=arguments.diligent,
-            lamps=arguments.lamps,
-            ps_wild=arguments.ps_wild,
-            counts=[None if n == "all" else int(n) for n in arguments.num_images],
-            offsets=arguments.offsets,
-        ),
-        {**estimates, "constant": constant_normal},
-    )
-    if not found:
-        raise InputError("no set of photographs was found; give --diligent or --lamps")
-    print(table(found))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    Args:
+        root: holds `diligent_dev` and `photos/psbox_cat.data`.
+        ps_wild: folders that `unips render` wrote.
+        counts: numbers of images of DiLiGenT's objects; None: all.
+        offsets: of masks, in pixels.
+    """
+    yield from sphere_cases(offsets)
+    sets: list[tuple[Path, Callable[[Path], Iterator[RealCase]]]] = [
+        (root / "diligent_dev", lambda path: diligent_cases(path, counts, offsets)),
+        (root / "photos" / "psbox_cat.data", lamp_cases),
+        *((path, ps_wild_cases) for path in ps_wild),
+    ]
+    for path, cases in sets:
+        if path.is_dir():
+            yield from cases(path)
+        else:
+            print(f"skipped {path}: no such folder", file=sys.stderr)
