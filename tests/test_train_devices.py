@@ -7,7 +7,16 @@ import time
 
 import numpy as np
 import pytest
-from training_runs import CONFIG, DATA, final_params, finish, start, write_objects
+from training_runs import (
+    CONFIG,
+    DATA,
+    final_params,
+    finish,
+    flip_a_bit,
+    largest_file,
+    start,
+    write_objects,
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +44,25 @@ def test_two_processes_agree_with_one(single, tmp_path):
     for process in start_pair(tmp_path, config):
         finish(process)
     assert_close(final_params(tmp_path), final_params(whole))
+
+
+@pytest.mark.slow
+def test_two_processes_give_a_damaged_checkpoint_up_together(single, tmp_path):
+    config, whole = single
+    often = dataclasses.replace(config.train, checkpoint_every=2)
+    config = dataclasses.replace(config, train=often)
+    for process in start_pair(tmp_path, config):
+        finish(process)
+    newest, before = (tmp_path / "checkpoints" / step for step in ("5", "4"))
+    flip_a_bit(largest_file(newest), 0.3)
+    told = [finish(process) for process in start_pair(tmp_path, config)]
+    assert [text.count("going on from checkpoint 4") for text in told] == [1, 0]
+    assert_close(final_params(tmp_path), final_params(whole))
+    for folder in (newest, before):
+        flip_a_bit(largest_file(folder), 0.3)
+    for process in start_pair(tmp_path, config):
+        _, errors = process.communicate(timeout=600)
+        assert process.returncode != 0 and "InputError" in errors
 
 
 @pytest.mark.slow
