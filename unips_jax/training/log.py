@@ -50,7 +50,7 @@ class TrainLog:
         self._path = workdir / "metrics.jsonl"
         self._first, self._steps, self._every = first, steps, every
         self._pending: list[Any] = jax.tree.map(np.float32, pending or [])
-        self._start, self._compilation = time.monotonic(), 0.0
+        self._start, self._untimed = time.monotonic(), 0.0
         self._tensorboard: Any = _tensorboard(workdir, first) if self._active else None
         if self._active and self._path.exists():
             lines = self._path.read_text().splitlines()
@@ -66,10 +66,16 @@ class TrainLog:
         """
         say(f"compiling {what}; it takes a minute or so")
         start = time.monotonic()
+        with self.untimed():
+            yield
+        say(f"compiled in {duration(time.monotonic() - start)}")
+
+    @contextlib.contextmanager
+    def untimed(self) -> Iterator[None]:
+        """Leaves the time of what is no training step out of the pace."""
+        start = time.monotonic()
         yield
-        seconds = time.monotonic() - start
-        self._compilation += seconds
-        say(f"compiled in {duration(seconds)}")
+        self._untimed += time.monotonic() - start
 
     def step(self, step: int, metrics: Mapping[str, Any]) -> None:
         """Takes a step's metrics; prints those of the first, then means.
@@ -123,7 +129,7 @@ class TrainLog:
             self._tensorboard.add_image(name, picture, step, dataformats="HWC")
 
     def _tell(self, step: int, values: Mapping[str, Any]) -> None:
-        elapsed = time.monotonic() - self._start - self._compilation
+        elapsed = time.monotonic() - self._start - self._untimed
         pace = elapsed / (step - self._first)
         left = duration(pace * (self._steps - step))
         names = [name for name in _FIRST if name in values]

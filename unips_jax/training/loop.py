@@ -119,7 +119,10 @@ def train(
             if due.validation or due.checkpoint:
                 check_finite(*unchecked, workdir)
             if due.validation:
-                record = _validate_and_keep_best(config, state, record, workdir, log)
+                with log.untimed():
+                    record = _validate_and_keep_best(
+                        config, state, record, workdir, log
+                    )
                 if not validated:  # it compiled
                     settle()
                 validated = True
