@@ -4,6 +4,7 @@ import errno
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.errors import InputError
 from unips_jax.evaluation.store import Store
 from unips_jax.io import claims
+from unips_jax.io.images import check_picture
+from unips_jax.io.ps_wild import write_folder
 from unips_jax.models.config import ModelConfig
 from unips_jax.weights import save_weights
 
@@ -97,3 +100,50 @@ def test_what_was_there_stays_until_the_new_is_whole(tmp_path, monkeypatch):
     claims.write_whole(path, b"new")
     assert seen == [b"old"] and path.read_bytes() == b"new"
     assert files(tmp_path) == {"file"}
+
+
+def test_names_that_are_too_long_are_cut_and_stay_apart(tmp_path):
+    first, second = "n" * 300, "n" * 299 + "m"
+    names = {claims.slug(first), claims.slug(second)}
+    assert len(names) == 2 and max(map(len, names)) < 150
+    assert claims.slug("n" * 120) == "n" * 120
+    claims.write_whole(tmp_path / ("n" * 255), b"data")
+    assert files(tmp_path) == {"n" * 255}
+
+
+def test_folders_and_pictures_that_cannot_be_written_are_refused_first(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "a.png").write_bytes(b"")
+    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path)
+    with pytest.raises(InputError, match=r"^-o /.*: expected a folder that may be"):
+        claims.make_folder(tmp_path, "-o")
+    with pytest.raises(InputError, match=r"^--sheet /.*: expected a folder that may"):
+        check_picture(tmp_path / "b.png", "--sheet")
+    monkeypatch.setattr(os, "access", lambda path, mode: path == tmp_path)
+    with pytest.raises(InputError, match=r"a\.png: expected a file that may be"):
+        check_picture(tmp_path / "a.png", "--sheet")
+    check_picture(tmp_path / "b.png", "--sheet")
+
+
+@pytest.mark.parametrize("number", [0, 1, 4])
+def test_a_full_disk_while_an_object_is_written(tmp_path, monkeypatch, number):
+    left = [number]
+
+    def write_bytes(self, data):
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    truth = np.tile(np.float64([0, 0, 1]), (4, 4, 1))
+    with pytest.raises(InputError, match=r"x\.data: cannot be written: No space left"):
+        write_folder(
+            tmp_path / "x.data",
+            [truth] * 4,
+            np.ones((4, 4), bool),
+            truth,
+            {},
+            maps={"metal": truth},
+        )
+    assert not list(tmp_path.iterdir())

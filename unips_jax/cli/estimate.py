@@ -22,7 +22,7 @@ from unips_jax.estimation.folders import (
     load_network,
     random_network,
 )
-from unips_jax.io.results import clear_leftovers
+from unips_jax.io.results import check_target, clear_leftovers
 from unips_jax.io.selection import folder_name
 
 
@@ -57,6 +57,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = parse(Options, argv, prog="unips estimate", description=__doc__)
     targets = _targets(options)
     options.how.check()
+    for folder, target in targets.items():
+        check_target(target, folder)
     start_jax()
     clear_leftovers(options.output)
     if options.random_weights:

@@ -13,8 +13,8 @@ from unips_jax.cycles import assets
 from unips_jax.cycles.blender_process import Blender, find_python
 from unips_jax.cycles.run import Settings, render_set
 from unips_jax.errors import InputError
-from unips_jax.io.claims import make_folder
-from unips_jax.io.images import check_picture, write_image
+from unips_jax.io.claims import make_folder, write_whole
+from unips_jax.io.images import check_picture, encode_image
 
 PRESETS: dict[str, dict[str, Any]] = {
     "train": {"images": 10, "training": True},
@@ -97,7 +97,7 @@ def render(
             chosen["environments"] = tuple(blender.ask("environments"))
         failed = render_set(blender, jobs, Settings(**chosen, files=files), output)
     if sheet is not None and any(output.glob("*/*.data")):
-        write_image(sheet, contact_sheet(output))
+        write_whole(sheet, encode_image(sheet.suffix, contact_sheet(output)))
         print(f"wrote {sheet}")
     if failed:
         raise InputError(

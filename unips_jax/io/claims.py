@@ -5,6 +5,7 @@ ends, however it ends.
 """
 
 import contextlib
+import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -16,6 +17,7 @@ from filelock import FileLock, Timeout
 from unips_jax.errors import InputError
 
 _T = TypeVar("_T")
+_LONGEST = 120  # characters of a name, of which there may be 255 bytes
 
 
 @contextlib.contextmanager
@@ -81,7 +83,8 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         InputError: if it cannot be written; what was there before stays.
     """
-    temporary = path.parent / f".{path.name}.{os.getpid()}.tmp"
+    # Any name may be as long as names can be.
+    temporary = path.parent / f".{_digest(path.name)}.{os.getpid()}.tmp"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -100,6 +103,25 @@ def write_whole(path: Path, data: bytes) -> None:
         ) from error
 
 
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Names what was being written when the file system refuses.
+
+    Args:
+        path: of the file or folder that the block writes.
+
+    Raises:
+        InputError: in place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written: {error.strerror or error}; free space there, "
+            "or choose another place"
+        ) from error
+
+
 def make_folder(path: Path, option: str) -> None:
     """Makes a folder, unless it is there.
 
@@ -108,15 +130,25 @@ def make_folder(path: Path, option: str) -> None:
         option: of the command line that gave it.
 
     Raises:
-        InputError: if it cannot be made.
+        InputError: if it cannot be made or written to.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = error.strerror
         raise InputError(f"{option} {path}: cannot be a folder ({reason})") from None
+    if not os.access(path, os.W_OK):
+        raise InputError(
+            f"{option} {path}: expected a folder that may be written to, got one that "
+            "may not; choose another"
+        )
 
 
 def slug(text: str) -> str:
-    """The text as part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9.+=-]+", "_", text).strip("_") or "_"
+    """The text as part of a file's name; of long texts the beginning and a hash."""
+    name = re.sub(r"[^A-Za-z0-9.+=-]+", "_", text).strip("_") or "_"
+    return name if len(name) <= _LONGEST else f"{name[:_LONGEST]}-{_digest(text)}"
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(os.fsencode(text), digest_size=6).hexdigest()

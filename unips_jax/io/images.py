@@ -9,11 +9,15 @@ look at `MAX_PIXELS`. Which formats: see `io.formats`.
 
 import dataclasses
 import math
+import os
 import stat
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import OpenEXR
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
@@ -212,6 +216,25 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
     path.write_bytes(encode_image(path.suffix, pixels))
 
 
+def write_exr(
+    path: Path, channels: Mapping[str, np.ndarray], header: Mapping[str, Any]
+) -> None:
+    """Writes an OpenEXR file.
+
+    Args:
+        path: where.
+        channels: their pixels, float32.
+        header: what else the file says.
+
+    Raises:
+        OSError: if the file system refuses.
+    """
+    try:
+        OpenEXR.File(dict(header), dict(channels)).write(str(path))
+    except RuntimeError as error:
+        raise OSError(str(error)) from error
+
+
 def check_picture(path: Path, option: str) -> None:
     """Refuses what `write_image` could not write, before there is a picture.
 
@@ -229,6 +252,11 @@ def check_picture(path: Path, option: str) -> None:
     if path.is_dir():
         raise InputError(f"{option}: expected a file's name, got a folder's, {path}")
     make_folder(path.parent, option)
+    if path.exists() and not os.access(path, os.W_OK):
+        raise InputError(
+            f"{option} {path}: expected a file that may be written to, got one that "
+            "may not; choose another"
+        )
 
 
 def _header(data: bytes, path: Path, vectors: bool, max_pixels: int) -> Encoded:

@@ -14,7 +14,13 @@ from typing import Literal
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.images import ImageFile, read_image_file, require_finite, write_image
+from unips_jax.io.images import (
+    ImageFile,
+    read_image_file,
+    require_finite,
+    write_exr,
+    write_image,
+)
 
 NormalMap = Literal["opengl", "directx"]
 
@@ -49,7 +55,7 @@ def write_normals(
             "type": OpenEXR.scanlineimage,
         }
         channels = {"RGB": np.ascontiguousarray(flipped)}
-        OpenEXR.File(header, channels).write(str(folder / "normals.exr"))
+        write_exr(folder / "normals.exr", channels, header)
     if mat:
         import scipy.io
 

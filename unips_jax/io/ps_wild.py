@@ -25,11 +25,11 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import OpenEXR
 
 from unips_jax.errors import InputError
+from unips_jax.io.claims import writing
 from unips_jax.io.color import as_float
-from unips_jax.io.images import read_image, write_image
+from unips_jax.io.images import read_image, write_exr, write_image
 from unips_jax.io.normals import encode_normals, has_unit_length, read_normals
 from unips_jax.io.selection import is_photograph
 
@@ -162,29 +162,43 @@ def write_folder(
             under their names.
         depth: `[H, W]`, kept as `depth.exr`; 0 outside the mask.
         name: of the images' files, by number.
+
+    Raises:
+        InputError: if the file system refuses.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    for leftover in folder.parent.glob(f".{folder.name}.*"):
-        shutil.rmtree(leftover)
-    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        for index, image in enumerate(images):
-            write_image(partial / name.format(index), encode_linear(image))
-        write_image(partial / MASK, mask.astype(np.uint8) * 255)
-        inside = np.where(mask[..., None], normals, 0)
-        write_image(partial / NORMALS, encode_normals(inside))
-        for title, values in (maps or {}).items():
-            write_image(partial / f"{title}.tif", encode_linear(values))
-        if depth is not None:
-            channels = {"Z": np.where(mask, depth, 0).astype(np.float32)}
-            OpenEXR.File({}, channels).write(str(partial / "depth.exr"))
-        text = json.dumps(dict(facts), indent=1)
-        (partial / META).write_text(text + "\n")
-        partial.chmod(0o755)
-        os.rename(partial, folder)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
+    with writing(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        for leftover in folder.parent.glob(f".{folder.name}.*"):
+            shutil.rmtree(leftover)
+        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            _write_files(partial, images, mask, normals, name)
+            for title, values in (maps or {}).items():
+                write_image(partial / f"{title}.tif", encode_linear(values))
+            if depth is not None:
+                channels = {"Z": np.where(mask, depth, 0).astype(np.float32)}
+                write_exr(partial / "depth.exr", channels, {})
+            text = json.dumps(dict(facts), indent=1)
+            (partial / META).write_text(text + "\n")
+            partial.chmod(0o755)
+            os.rename(partial, folder)
+        except BaseException:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
+
+
+def _write_files(
+    folder: Path,
+    images: Iterable[np.ndarray],
+    mask: np.ndarray,
+    normals: np.ndarray,
+    name: str,
+) -> None:
+    for index, image in enumerate(images):
+        write_image(folder / name.format(index), encode_linear(image))
+    write_image(folder / MASK, mask.astype(np.uint8) * 255)
+    inside = np.where(mask[..., None], normals, 0)
+    write_image(folder / NORMALS, encode_normals(inside))
 
 
 class TrainingObject(NamedTuple):

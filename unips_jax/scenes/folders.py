@@ -15,8 +15,8 @@ import numpy as np
 
 from unips_jax.console import track
 from unips_jax.errors import InputError
-from unips_jax.io.claims import claimed
-from unips_jax.io.images import write_image
+from unips_jax.io.claims import claimed, write_whole
+from unips_jax.io.images import encode_image
 from unips_jax.io.ps_wild import focal_facts, read_meta, write_folder
 from unips_jax.provenance import code_hash
 from unips_jax.scenes import (
@@ -170,4 +170,4 @@ def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
         batch = render_batch(keys, size=size, num_images=3)
         batches.append(jax.tree.map(np.asarray, batch))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
-    write_image(path, contact_sheet(joined))
+    write_whole(path, encode_image(path.suffix, contact_sheet(joined)))
