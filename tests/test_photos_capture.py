@@ -66,3 +66,26 @@ def test_samples_are_taken_inside_the_mask():
     mask[1::2, 1::2] = images[0, 1::2, 1::2, 0] > 0
     lines = capture_warnings(images, mask, names)
     assert not any(line.startswith("saturated") for line in lines)
+
+
+def test_specks_islands_and_pinholes_of_the_mask():
+    images, mask, names = sphere_images(size=120)
+    images[:] = np.maximum(images, 40)  # some light everywhere
+    mask[2:4, 2:5] = mask[-1, 0] = True
+    (line,) = capture_warnings(images, mask, names)
+    assert line.startswith("specks in the mask: 2 of together 7 pixels ")
+    mask[2:4, 2:5] = mask[-1, 0] = False
+    mask[:15, :15] = True
+    (line,) = capture_warnings(images, mask, names)
+    assert line.startswith("mask in 2 parts (98%, 2%): one object ")
+    mask[:15, :15] = False
+    mask[50:53, 60:62] = mask[70, 40] = False
+    mask[80:100, 50:70] = False  # as a key's: meant
+    (line,) = capture_warnings(images, mask, names)
+    assert line.startswith("small holes in the mask: 2 of together 7 pixels;")
+    # A whole image, and an object that reaches the image's border, have no holes.
+    assert capture_warnings(images, np.ones_like(mask), names) == []
+    half = np.zeros_like(mask)
+    half[60:, 20:100] = True
+    half[110:, 50:60] = False
+    assert capture_warnings(images, half[:, ::-1], names) == []

@@ -1,14 +1,17 @@
-"""Warns about photographs from which no method can tell the shape.
+"""Warns about photographs from which no method can tell the shape, and of poor masks.
 
-Looks at about 20,000 pixels inside the mask, and compares the images with each other
-at 2,000 of these, so it costs little beside an estimate. The thresholds
-are rules of thumb; a warning never stops anything.
+Looks at the mask, at about 20,000 pixels inside it, and compares the images with each
+other at 2,000 of these, so it costs little beside an estimate. The thresholds are rules
+of thumb; a warning never stops anything.
 """
 
 import math
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
+
+from unips_jax.io.masks import mask_box
 
 _SAMPLES = 20_000
 _COMPARED = 2_000
@@ -18,6 +21,9 @@ _SATURATED_SHARE = 0.05
 _DARK_LEVELS = 32
 _SAME_LIGHT = 0.05
 _SAME_IMAGE = 0.01
+_ISLAND_SHARE = 0.01
+_HOLE_SHARE = 0.001
+_HOLE = 20
 
 
 def capture_warnings(
@@ -37,6 +43,7 @@ def capture_warnings(
     samples = images[:, ::step, ::step][:, mask[::step, ::step]]  # [N, P, 3]
     return [
         *_count_warnings(len(images), inside),
+        *_mask_warnings(mask),
         *_exposure_warnings(samples, names),
         *_light_warnings(samples, names),
     ]
@@ -54,6 +61,43 @@ def _count_warnings(count: int, inside: int) -> list[str]:
             f"tiny mask: {inside} pixels are inside; the object should fill the frame"
         )
     return lines
+
+
+def _mask_warnings(mask: np.ndarray) -> list[str]:
+    """Parts of the mask that are hardly meant: specks, islands, pinholes."""
+    mask = mask[mask_box(mask)].astype(np.uint8)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(mask)
+    areas = np.sort(stats[1:, cv2.CC_STAT_AREA])[::-1]
+    specks = areas[areas < _ISLAND_SHARE * areas[0]]
+    islands = areas[: len(areas) - len(specks)]
+    lines = []
+    if len(specks):
+        lines.append(
+            f"specks in the mask: {len(specks)} of together {specks.sum()} pixels lie "
+            "apart from the object; they get normals too: erase them"
+        )
+    if len(islands) > 1:
+        shares = [f"{area / areas.sum():.0%}" for area in islands]
+        lines.append(
+            f"mask in {len(islands)} parts ({_some(shares)}): one object is expected; "
+            "join the parts, or estimate each with a mask of its own"
+        )
+    holes = _hole_areas(mask)
+    holes = holes[holes <= max(_HOLE, _HOLE_SHARE * areas[0])]
+    if len(holes):
+        lines.append(
+            f"small holes in the mask: {len(holes)} of together {holes.sum()} pixels; "
+            "they get no normals: fill them, unless the object has holes there"
+        )
+    return lines
+
+
+def _hole_areas(mask: np.ndarray) -> np.ndarray:
+    """Pixels of each part of the background that the mask surrounds."""
+    outside = np.pad(1 - mask, 1, constant_values=1)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(outside, connectivity=4)
+    inner = np.arange(1, len(stats)) != labels[0, 0]
+    return stats[1:, cv2.CC_STAT_AREA][inner]
 
 
 def _exposure_warnings(samples: np.ndarray, names: Sequence[str]) -> list[str]:
