@@ -1,10 +1,13 @@
 """What README and the documentation show runs, and their links lead somewhere."""
 
+import contextlib
 import re
 import shutil
 from pathlib import Path
 
 import pytest
+
+from unips_jax.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "unips_jax" / "assets" / "sample" / "obj000.data"
@@ -36,6 +39,31 @@ def test_python_runs_as_pasted(block, tmp_path, monkeypatch):
         shutil.copy(SAMPLE / name, tmp_path / "photographs")
     monkeypatch.chdir(tmp_path)
     exec(compile(block, "block", "exec"), {"__name__": "__main__"})
+
+
+def commands(text):
+    """Calls of `unips` in code, each as words; continued lines are joined."""
+    text = re.sub(r"\\?\n +(?=[\[-])", " ", text)
+    for line in re.findall(r"(?:^|`)(unips [a-z][^`\n#]*)", text, re.MULTILINE):
+        yield re.sub(r"[\[\]|]", " ", line).split()[1:]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_shown_are_there(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    shown = {
+        option
+        for path in [*PAGES, *(ROOT / "configs").glob("*.py")]
+        for command, *words in commands(path.read_text())
+        if command == name and "cycles" not in words
+        for option in words
+        if option.startswith("-") and not option.startswith("--help")
+    }
+    config = ["--config", str(ROOT / "configs" / "tiny.py")] if name == "train" else []
+    with contextlib.suppress(SystemExit):
+        main([name, *config, "--help"])
+    told = set(re.findall(r"--?[a-z][\w.-]*", capsys.readouterr().out))
+    assert shown and shown <= told, shown - told
 
 
 def anchors(text):
