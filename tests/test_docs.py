@@ -44,7 +44,7 @@ def test_python_runs_as_pasted(block, tmp_path, monkeypatch):
 def commands(text):
     """Calls of `unips` in code, each as words; continued lines are joined."""
     text = re.sub(r"\\?\n +(?=[\[-])", " ", text)
-    for line in re.findall(r"(?:^|`)(unips [a-z][^`\n#]*)", text, re.MULTILINE):
+    for line in re.findall(r"(?:^ *|`)(unips [a-z][^`\n#]*)", text, re.MULTILINE):
         yield re.sub(r"[\[\]|]", " ", line).split()[1:]
 
 

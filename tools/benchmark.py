@@ -3,9 +3,10 @@
     python tools/benchmark.py [--config FILE] [--images 10] [--size 512]
     python tools/benchmark.py --train --config configs/unips.py --objects 1 --images 6
 
-Prints one JSON line: versions, device, medians. Absolute seconds say little on shared
-machines; so the rate of every part is given as a share of the rate of float32 matrix
-products of the network's own sizes, timed in the same run, between the parts.
+Prints one JSON line: versions, device, medians. Appended to `docs/results/speed.jsonl`,
+it is shown by `tools/results.py`. Absolute seconds say little on shared machines; so the
+rate of every part is given as a share of the rate of float32 matrix products of the
+network's own sizes, timed in the same run, between the parts.
 Operations are those of the plain network, as its sizes give them: what the
 implementation saves by rearranging counts in its favour, what it adds against it.
 """
@@ -13,9 +14,11 @@ implementation saves by rearranging counts in its favour, what it adds against i
 import argparse
 import contextlib
 import dataclasses
+import datetime
 import functools
 import json
 import resource
+import shlex
 import statistics
 import sys
 import time
@@ -293,9 +296,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         result = estimation_benchmark(
             config.model, arguments.images, size, arguments.repeats
         )
+    given = sys.argv[1:] if argv is None else argv
     print(
         json.dumps(
             {
+                "date": datetime.date.today().isoformat(),
+                "arguments": shlex.join(given),
                 "unips_jax": unips_jax.__version__,
                 "jax": jax.__version__,
                 "device": jax.devices()[0].device_kind,
