@@ -3,9 +3,9 @@
     python tools/benchmark.py [--config FILE] [--images 10] [--size 512]
     python tools/benchmark.py --train --config configs/unips.py --objects 1 --images 6
 
-Prints one JSON line: versions, device, medians. Appended to `docs/results/speed.jsonl`,
-it is shown by `tools/results.py`. Absolute seconds say little on shared machines; so the
-rate of every part is given as a share of the rate of float32 matrix products of the
+Prints one JSON line: versions, device, medians. Appended to `docs/results/speed.jsonl`
+it is shown by `tools/results.py`. Absolute seconds say little on shared machines; so
+the rate of every part is given as a share of the rate of float32 matrix products of the
 network's own sizes, timed in the same run, between the parts.
 Operations are those of the plain network, as its sizes give them: what the
 implementation saves by rearranging counts in its favour, what it adds against it.
