@@ -21,7 +21,6 @@ from unips_jax.io.selection import is_map
 
 MAGIC = b"\x76\x2f\x31\x01"
 
-_COLOURS = ("RGB", "rgb", "Y")
 _HEADERS = {"separate_channels": True, "header_only": True}
 
 
@@ -66,7 +65,7 @@ def open_exr(data: bytes, *, vectors: bool = False) -> Encoded:
         len(names) in (2, 4),
         np.dtype(np.float32),
         decode,
-        allocated=int(np.prod(_size(windows[0]), dtype=np.int64)),
+        allocated=_allocated(header),
     )
 
 
@@ -95,6 +94,14 @@ def displayed(
             columns.start - left : columns.stop - left,
         ]
     return result
+
+
+def _allocated(header: dict[str, Any]) -> int:
+    """Pixels of the data window, or of a tile that is larger."""
+    width, height = (int(n) for n in _size(header["dataWindow"]))
+    tiles = header.get("tiles")
+    tile = tiles.xSize * tiles.ySize if tiles is not None else 0
+    return max(width * height, tile)
 
 
 @contextlib.contextmanager
@@ -134,9 +141,11 @@ def _picture(headers: Sequence[dict[str, Any]], vectors: bool) -> tuple[int, lis
         everything += [title + name for name in names]
         for name in sorted(names):
             layer = name[: name.rfind(".") + 1]
-            for colours in (*_COLOURS, *(("XYZ",) if vectors else ())):
+            for colours in ("RGB", "rgb", "XYZ" if vectors else "", "Y"):
+                if colours == "Y" and names & {layer + "X", layer + "Z"}:
+                    colours = ""  # a component of vectors
                 wanted = [layer + c for c in colours]
-                if title + layer not in found and names.issuperset(wanted):
+                if colours and title + layer not in found and names.issuperset(wanted):
                     alpha = [layer + "A"] if layer + "A" in names else []
                     found[title + layer] = index, wanted + alpha
     if "" in found:

@@ -228,9 +228,12 @@ def open_pnm(data: bytes) -> Encoded:
 
 def open_by_pillow(data: bytes) -> Encoded:
     """Reads the header of a BMP, GIF or PBM; see `formats.open_encoded`."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its own limit of pixels: ours follows
-        image = Image.open(io.BytesIO(data), formats=("BMP", "GIF", "PPM"))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # its own limit of pixels: ours follows
+            image = Image.open(io.BytesIO(data), formats=("BMP", "GIF", "PPM"))
+    except Image.DecompressionBombError:
+        return _beyond_pillow(data)
     name = image.format or "BMP"
     if getattr(image, "n_frames", 1) > 1:
         raise NotRead(f"an animated {name}")
@@ -249,3 +252,18 @@ def open_by_pillow(data: bytes) -> Encoded:
         _BYTE,
         lambda: np.array(image.convert(mode)),
     )
+
+
+def _beyond_pillow(data: bytes) -> Encoded:
+    """The header of a file with more pixels than Pillow opens."""
+    if data.startswith(b"BM"):
+        name, (width, height) = "BMP", struct.unpack_from("<ii", data, 18)
+    elif data.startswith(b"GIF"):
+        name, (width, height) = "GIF", struct.unpack_from("<HH", data, 6)
+    else:
+        name, (width, height) = "PBM", map(int, re.findall(rb"\d+", data[2:99])[:2])
+
+    def decode() -> np.ndarray:
+        raise NotRead(f"a {name} of more than 178 million pixels")
+
+    return Encoded(name, abs(height), abs(width), 1, False, _BYTE, decode)

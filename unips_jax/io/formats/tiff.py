@@ -91,9 +91,18 @@ def open_tiff(data: bytes) -> Encoded:
         has_alpha,
         np.dtype(np.uint8 if palette else kind),
         lambda: decode().astype(np.uint8 if palette else kind, copy=False),
+        allocated=_tiled_size(page),
         icc=bytes(tags.valueof(_ICC) or b""),
         **facts_of(tags.valueof(274), *told),  # type: ignore[arg-type]
     )
+
+
+def _tiled_size(page: tifffile.TiffPage) -> int:
+    """Pixels of all tiles, which reach over the edges; 0 without tiles."""
+    if not page.is_tiled:
+        return 0
+    height = -(-page.imagelength // page.tilelength) * page.tilelength
+    return height * -(-page.imagewidth // page.tilewidth) * page.tilewidth
 
 
 def _photograph(tiff: tifffile.TiffFile) -> tifffile.TiffPage:
@@ -141,7 +150,9 @@ def _has_alpha(page: tifffile.TiffPage, colours: int) -> bool:
     extra = tuple(int(kind) for kind in page.extrasamples)
     if page.samplesperpixel == colours:
         return False
-    return len(extra) <= 1 and set(extra) <= {_UNSPECIFIED, *_ALPHA}
+    if colours == 3 and set(extra) <= {_UNSPECIFIED}:
+        return True  # as some programs leave it
+    return len(extra) == 1 and extra[0] in _ALPHA
 
 
 def _channels_last(page: tifffile.TiffPage) -> np.ndarray:

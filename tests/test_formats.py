@@ -1,0 +1,365 @@
+"""Every layout of a format is read right, or refused by the format's name."""
+
+import itertools
+import struct
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from PIL import Image
+from test_photos import save, smooth
+from tiff_writer import COMPRESSIONS, tiff
+
+from unips_jax.errors import InputError
+from unips_jax.io.images import check_image, decode_image, read_image, read_image_file
+from unips_jax.io.normals import read_normals
+
+SIZE = (23, 37)
+# Samples of a pixel: how many colours, and the kinds of those besides.
+SAMPLES = {
+    "grey": (1, ()),
+    "grey, alpha": (1, (2,)),
+    "rgb": (3, ()),
+    "rgb, unassociated alpha": (3, (2,)),
+    "rgb, associated alpha": (3, (1,)),
+    "rgb, unspecified": (3, (0,)),
+}
+
+
+def noise(dtype, channels, *, seed=0, top=None):
+    rng = np.random.default_rng(seed)
+    if np.dtype(dtype).kind == "f":
+        return rng.random((*SIZE, channels)).astype(dtype)
+    top = np.iinfo(dtype).max if top is None else top
+    return rng.integers(0, top + 1, (*SIZE, channels)).astype(dtype)
+
+
+def read(path, data):
+    path.write_bytes(data)
+    return read_image_file(path)
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize(
+    "dtype", [np.uint8, np.uint16, np.float16, np.float32, np.float64]
+)
+def test_tiffs(tmp_path, dtype, compression):
+    for planar, order, tile, kind, predictor in itertools.product(
+        (False, True), "<>", (0, 16), SAMPLES, (False, True)
+    ):
+        if predictor and (np.dtype(dtype).kind == "f" or compression == "none"):
+            continue
+        colours, extra = SAMPLES[kind]
+        pixels = noise(dtype, colours + len(extra))
+        layout = {"planar": planar, "tile": tile, "predictor": predictor}
+        layout |= {"compression": compression, "extra": extra}
+        file = read(tmp_path / "a.tif", tiff([{"pixels": pixels, **layout}], order))
+        expected = pixels.astype(np.float32) if pixels.dtype.kind == "f" else pixels
+        cell = (layout, order, kind)
+        assert file.pixels.dtype == expected.dtype, cell
+        np.testing.assert_array_equal(file.pixels, expected[..., :colours], str(cell))
+        if extra:
+            np.testing.assert_array_equal(file.alpha, expected[..., -1], str(cell))
+        else:
+            assert file.alpha is None
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4])
+@pytest.mark.parametrize("white_is_zero", [False, True])
+def test_tiffs_of_few_bits(tmp_path, bits, white_is_zero):
+    pixels = noise(np.uint8, 1, top=2**bits - 1)
+    arguments = {"pixels": pixels, "bits": bits, "photometric": 1 - white_is_zero}
+    file = read(tmp_path / "a.tif", tiff([arguments]))
+    full = pixels * np.uint8(255 // (2**bits - 1))
+    np.testing.assert_array_equal(file.pixels, 255 - full if white_is_zero else full)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("extra", [(), (2,)])
+def test_white_may_be_zero(tmp_path, dtype, extra):
+    pixels = noise(dtype, 1 + len(extra))
+    arguments = {"pixels": pixels, "photometric": 0, "extra": extra}
+    file = read(tmp_path / "a.tif", tiff([arguments]))
+    np.testing.assert_array_equal(file.pixels, np.iinfo(dtype).max - pixels[..., :1])
+    if extra:
+        np.testing.assert_array_equal(file.alpha, pixels[..., 1])
+
+
+@pytest.mark.parametrize("bits", [4, 8])
+def test_palettes(tmp_path, bits):
+    table = np.random.default_rng(1).integers(0, 65536, (3, 2**bits))
+    index = noise(np.uint8, 1, top=2**bits - 1)
+    tags = {320: (3, table.ravel().tolist())}
+    arguments = {"pixels": index, "bits": bits, "photometric": 3, "tags": tags}
+    file = read(tmp_path / "a.tif", tiff([arguments]))
+    np.testing.assert_array_equal(file.pixels, table.T[index[..., 0]] >> 8)
+
+
+def test_previews_and_masks_are_no_photographs(tmp_path):
+    pixels = noise(np.uint16, 3)
+    preview = {"pixels": noise(np.uint8, 3)[:5, :9], "tags": {254: (4, [1])}}
+    mask = {
+        "pixels": noise(np.uint8, 1, top=1),
+        "bits": 1,
+        "photometric": 4,
+        "tags": {254: (4, [4])},
+    }
+    old = {"pixels": noise(np.uint8, 3)[:5, :9], "tags": {255: (3, [2])}}
+    for pages in ([preview, {"pixels": pixels}], [{"pixels": pixels}, old, mask]):
+        file = read(tmp_path / "a.tif", tiff(pages))
+        np.testing.assert_array_equal(file.pixels, pixels)
+    for pages, name in (([preview], "previews only"), ([{"pixels": pixels}] * 3, "3")):
+        with pytest.raises(InputError, match=rf"got a TIFF .*{name}"):
+            read(tmp_path / "a.tif", tiff(pages))
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"pixels": noise(np.uint32, 1)}, "32-bit samples"),
+        ({"pixels": noise(np.int16, 1), "form": 2}, "16-bit signed samples"),
+        ({"pixels": noise(np.uint8, 4), "photometric": 5}, "SEPARATED colours"),
+        ({"pixels": noise(np.uint8, 3), "photometric": 6}, "YCBCR colours"),
+        ({"pixels": noise(np.uint8, 3), "photometric": 8}, "CIELAB colours"),
+        ({"pixels": noise(np.uint16, 1), "photometric": 32803}, "camera's raw file"),
+        ({"pixels": noise(np.uint8, 3), "compression": 7}, "JPEG compression"),
+        ({"pixels": noise(np.uint8, 3), "compression": 34712}, "compression"),
+        (
+            {"pixels": noise(np.uint8, 5), "photometric": 2, "extra": (0, 0)},
+            "5 samples",
+        ),
+        ({"pixels": noise(np.uint8, 2)}, "2 samples"),
+        ({"pixels": noise(np.float32, 1), "photometric": 0}, "zero is white"),
+        ({"pixels": noise(np.uint8, 1), "photometric": 3}, "without their colours"),
+    ],
+)
+def test_other_tiffs_are_named(tmp_path, changes, name):
+    with pytest.raises(InputError, match=rf"can be read, got .*{name}"):
+        read(tmp_path / "a.tif", tiff([changes]))
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("tile", [0, 16])
+def test_cut_and_altered_tiffs(tmp_path, compression, tile):
+    path = tmp_path / "a.tif"
+    data = tiff(
+        [{"pixels": smooth(np.uint8), "compression": compression, "tile": tile}]
+    )
+    for length in range(0, len(data) - 1, 97):
+        with pytest.raises(InputError, match=r"a\.tif: .*(empty|damaged)"):
+            read(path, data[:length])
+
+
+def test_pngs(tmp_path):
+    palette = np.random.default_rng(1).integers(0, 256, (16, 3), dtype=np.uint8)
+    for kind, bits in (
+        *((0, 1), (0, 2), (0, 4), (0, 8), (0, 16), (2, 8), (2, 16)),
+        *((3, 1), (3, 2), (3, 4), (3, 8), (4, 8), (4, 16), (6, 8), (6, 16)),
+    ):
+        channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[kind]
+        dtype = np.uint16 if bits == 16 else np.uint8
+        top = min(2**bits - 1, 15 if kind == 3 else 65535)
+        values = noise(dtype, channels, top=top)
+        data = png(
+            values, kind, bits, {b"PLTE": palette.tobytes()} if kind == 3 else {}
+        )
+        file = read(tmp_path / "a.png", data)
+        full = values * dtype(255 // (2**bits - 1)) if bits < 8 else values
+        colours = palette[values[..., 0]] if kind == 3 else full
+        alpha = None
+        if kind in (4, 6):
+            colours, alpha = full[..., :-1], full[..., -1]
+        np.testing.assert_array_equal(file.pixels, colours, str((kind, bits)))
+        assert (file.alpha is None) == (alpha is None)
+        if alpha is not None:
+            np.testing.assert_array_equal(file.alpha, alpha)
+        facts = check_image(data, tmp_path / "a.png")
+        assert facts == (*SIZE, colours.shape[2] + (alpha is not None), dtype)
+
+
+def png(values, kind, bits, chunks):
+    height, width = values.shape[:2]
+    if bits < 8:
+        unpacked = np.unpackbits(values, axis=-1)[..., 8 - bits :]
+        rows = np.packbits(unpacked.reshape(height, -1), axis=-1)
+    else:
+        rows = values.astype(values.dtype.newbyteorder(">")).reshape(height, -1)
+    body = b"".join(b"\0" + row.tobytes() for row in rows)
+    header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
+    parts = {b"IHDR": header, **chunks, b"IDAT": zlib.compress(body), b"IEND": b""}
+    data = b"\x89PNG\r\n\x1a\n"
+    for name, part in parts.items():
+        checksum = struct.pack(">I", zlib.crc32(name + part))
+        data += struct.pack(">I", len(part)) + name + part + checksum
+    return data
+
+
+def test_transparent_colours_of_png(tmp_path):
+    values = noise(np.uint8, 1, top=15)
+    chunks = {b"PLTE": bytes(range(48)), b"tRNS": b"\0\x80"}
+    file = read(tmp_path / "a.png", png(values, 3, 8, chunks))
+    expected = np.select([values == 0, values == 1], [0, 128], 255)[..., 0]
+    np.testing.assert_array_equal(file.alpha, expected)
+    chunks = {b"tRNS": struct.pack(">H", 7)}
+    file = read(tmp_path / "a.png", png(values, 0, 8, chunks))
+    np.testing.assert_array_equal(file.alpha == 0, values[..., 0] == 7)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "mode"),
+    [
+        *((".bmp", "1"), (".bmp", "L"), (".bmp", "P"), (".bmp", "RGB")),
+        *((".bmp", "RGBA"), (".gif", "1"), (".gif", "L"), (".gif", "P")),
+        *((".pbm", "1"), (".pgm", "L"), (".ppm", "RGB")),
+    ],
+)
+def test_other_bitmaps(tmp_path, suffix, mode):
+    image = Image.fromarray(noise(np.uint8, 4))
+    image = image if mode == "RGBA" else image.convert("RGB").convert(mode)
+    image.save(tmp_path / f"a{suffix}")
+    file = read_image_file(tmp_path / f"a{suffix}")
+    expected = np.asarray(image.convert("L" if mode in "1L" else "RGB"))
+    np.testing.assert_array_equal(
+        file.pixels, np.broadcast_to(expected.reshape(*SIZE, -1), file.pixels.shape)
+    )
+
+
+def test_pnm_of_sixteen_bits(tmp_path):
+    values = noise(np.uint16, 3, top=1000)
+    header = f"P6 {SIZE[1]}\n{SIZE[0]} # size\n1000\n".encode()
+    file = read(tmp_path / "a.ppm", header + values.astype(">u2").tobytes())
+    exact = values * (65535 / 1000)
+    assert file.pixels.dtype == np.uint16
+    assert np.abs(file.pixels - exact).max() <= 0.5
+    with pytest.raises(InputError, match="damaged"):
+        read(tmp_path / "a.ppm", header + values.astype(">u2").tobytes()[:-1])
+
+
+def exr(path, parts):
+    OpenEXR.File([OpenEXR.Part(dict(h), c, n) for h, c, n in parts]).write(str(path))
+    return path
+
+
+def planes(prefix, letters, seed):
+    values = noise(np.float32, len(letters), seed=seed)
+    return {
+        f"{prefix}{c}": values[..., i].copy() for i, c in enumerate(letters)
+    }, values
+
+
+def test_the_picture_of_an_exr(tmp_path):
+    path = tmp_path / "a.exr"
+    header = {"type": OpenEXR.scanlineimage}
+    main, expected = planes("", "RGBA", 0)
+    more = planes("diffuse.", "RGB", 1)[0] | planes("Normal.", "RGB", 2)[0]
+    OpenEXR.File(header, main | more).write(str(path))
+    file = read_image_file(path)
+    np.testing.assert_array_equal(file.pixels, expected[..., :3])
+    np.testing.assert_array_equal(file.alpha, expected[..., 3])
+    layers = planes("beauty.", "RGB", 1)[0]
+    OpenEXR.File(header, layers | planes("normal.", "RGB", 2)[0]).write(str(path))
+    np.testing.assert_array_equal(read_image(path)[..., 1], layers["beauty.G"])
+    OpenEXR.File(header, planes("normal.", "RGB", 2)[0]).write(str(path))
+    with pytest.raises(InputError, match="EXR with the channels normal.B.*no map"):
+        read_image(path)
+    np.testing.assert_array_equal(read_normals(path), planes("", "RGB", 2)[1])
+    OpenEXR.File(header, planes("View.Normal.", "XYZ", 3)[0]).write(str(path))
+    np.testing.assert_array_equal(read_normals(path), planes("", "XYZ", 3)[1])
+    two = layers | planes("other.", "RGB", 2)[0]
+    OpenEXR.File(header, two).write(str(path))
+    with pytest.raises(InputError, match=r"beauty\.B.*in one layer"):
+        read_image(path)
+
+
+def test_parts_of_an_exr(tmp_path):
+    path = tmp_path / "a.exr"
+    header = {"type": OpenEXR.scanlineimage}
+    first, second = planes("", "RGB", 0), planes("", "RGB", 1)
+    exr(path, [(header, second[0], "normal"), (header, first[0], "beauty")])
+    np.testing.assert_array_equal(read_image(path), first[1])
+    exr(path, [(header, second[0], "left"), (header, first[0], "right")])
+    with pytest.raises(InputError, match=r"left\.B"):
+        read_image(path)
+    integers = {c: np.zeros(SIZE, np.uint32) for c in "RGB"}
+    OpenEXR.File(header, integers).write(str(path))
+    with pytest.raises(InputError, match="an EXR of integers"):
+        read_image(path)
+
+
+def test_jpegs(tmp_path):
+    path = tmp_path / "a.jpg"
+    for sampling, progressive in itertools.product((0, 1, 2), (False, True)):
+        image = Image.fromarray(smooth(np.uint8, height=61, width=79))
+        image.save(path, quality=93, subsampling=sampling, progressive=progressive)
+        expected = cv2.imread(str(path))[..., ::-1]
+        np.testing.assert_array_equal(read_image(path), expected)
+    Image.fromarray(smooth(np.uint8)[..., 0]).save(path, quality=95)
+    np.testing.assert_array_equal(read_image(path)[..., 0], cv2.imread(str(path), 0))
+    Image.fromarray(noise(np.uint8, 4)).convert("CMYK").save(path)
+    with pytest.raises(InputError, match="got a CMYK JPEG"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("start", [0.4, 0.5, 0.8])
+def test_damaged_jpegs_are_refused_in_threads_too(tmp_path, start):
+    path = save(tmp_path / "a.jpg", smooth(np.uint8, height=200, width=200))
+    data = bytearray(path.read_bytes())
+    begin = int(start * len(data))
+    data[begin : begin + 300] = bytes(300)
+    path.write_bytes(data)
+    for _ in range(2):
+        with ThreadPoolExecutor(1) as pool:
+            result = pool.submit(read_image, path)
+            with pytest.raises(InputError, match="damaged.*the decoder says"):
+                result.result()
+    with pytest.raises(InputError, match="damaged.*the decoder says"):
+        read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("start", "name"),
+    [
+        (b"\0\0\0\x18ftypheic", "a HEIC picture"),
+        (b"\0\0\0\x18ftypavif", "an AVIF picture"),
+        (b"FUJIFILMCCD-RAW 0201", "camera's raw file .RAF."),
+        (b"IIU\0\x18\0\0\0", "camera's raw file .RW2."),
+        (b"IIRO\x08\0\0\0", "camera's raw file .ORF."),
+        (b"8BPS\0\1", "a Photoshop document"),
+        (b"\0\0\0\x0cjP  \r\n", "a JPEG 2000 picture"),
+        (b"\xff\x0a\xfa\x7f", "a JPEG XL picture"),
+    ],
+)
+def test_other_formats_are_named_whatever_the_file_is_called(tmp_path, start, name):
+    with pytest.raises(InputError, match=rf"IMG_1\.JPG: .* got .*{name}"):
+        read(tmp_path / "IMG_1.JPG", start + bytes(200))
+
+
+def test_animations_are_named(tmp_path):
+    frames = [Image.fromarray(noise(np.uint8, 1, seed=i)[..., 0]) for i in range(3)]
+    for suffix in (".gif", ".webp", ".png"):
+        path = tmp_path / f"a{suffix}"
+        frames[0].save(path, save_all=True, append_images=frames[1:])
+        with pytest.raises(InputError, match="got an animated"):
+            read_image(path)
+
+
+def test_same_bytes_same_picture(tmp_path):
+    """Memory that was used before does not show."""
+    pixels = noise(np.uint16, 3)
+    data = tiff([{"pixels": pixels, "planar": True, "compression": "lzw"}])
+    for i in range(12):
+        junk = [np.full(50_000 * (i % 4 + 1), i * 1.7) for _ in range(6)]
+        del junk
+        file = decode_image(data, tmp_path / "a.tif")
+        np.testing.assert_array_equal(file.pixels, pixels)
+
+
+def test_stacks_of_imagej_are_named(tmp_path):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.zeros((4, *SIZE), np.uint8), imagej=True)
+    with pytest.raises(InputError, match="got a TIFF of 4 pages"):
+        read_image(path)
