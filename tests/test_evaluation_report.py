@@ -20,7 +20,7 @@ from unips_jax.evaluation import summary
 from unips_jax.evaluation.charts import charts
 from unips_jax.evaluation.methods import NAMES
 from unips_jax.evaluation.protocols import Case
-from unips_jax.evaluation.report import Header, report
+from unips_jax.evaluation.report import Exhibit, Header, report
 from unips_jax.evaluation.runner import Result
 from unips_jax.evaluation.scores import Score
 from unips_jax.evaluation.sections import sections
@@ -242,6 +242,7 @@ def results_of(*results):
     return summary.Results("ps-wild", "native", methods, [None], list(results))
 
 
+URI = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
 HEADER = Header("2026-01-02 03:04 UTC", "data", "unips eval", "0.1", {"a": "0f"})
 
 
@@ -339,7 +340,10 @@ def test_long_and_foreign_names_keep_the_page_within_the_screen(tmp_path, width)
     results = results_of(
         *map(result_of, *zip(*itertools.product(labels, labels), strict=True))
     )
-    html = report(HEADER, results, summary.tables(results), []).decode()
+    pictures = [
+        Exhibit(label, label, URI, URI, [(label, URI, URI, label)]) for label in labels
+    ]
+    html = report(HEADER, results, summary.tables(results), pictures).decode()
     script = "document.title = document.documentElement.scrollWidth - innerWidth"
     page = tmp_path / "report.html"
     page.write_text(html.replace("</body>", f"<script>{script}</script></body>"))
