@@ -18,8 +18,8 @@ from unips_jax.cli import eval as evaluation
 from unips_jax.errors import InputError
 from unips_jax.evaluation import summary
 from unips_jax.evaluation.charts import charts
-from unips_jax.evaluation.methods import NAMES
 from unips_jax.evaluation.protocols import Case
+from unips_jax.evaluation.registry import NAMES
 from unips_jax.evaluation.report import Exhibit, Header, report
 from unips_jax.evaluation.runner import Result
 from unips_jax.evaluation.scores import Score

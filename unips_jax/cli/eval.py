@@ -25,8 +25,9 @@ from unips_jax.console import (
 from unips_jax.errors import InputError
 from unips_jax.evaluation import publish, runner, summary
 from unips_jax.evaluation.benchmarks import BENCHMARKS, Benchmark, open_benchmark
-from unips_jax.evaluation.methods import NAMES, UnipsOptions, load_variants
+from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.protocols import Protocol
+from unips_jax.evaluation.registry import NAMES
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.tables import text_of
 

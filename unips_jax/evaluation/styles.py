@@ -27,7 +27,7 @@ COLORS = {
     "hemisphere": "#6b7280",
     "constant": "#1c2330",
 }
-"""By the names of `methods.NAMES`."""
+"""By the names of `registry.NAMES`."""
 
 _DASHES = ("", "7 2", "2 1.5", "6 1.5 1.5 1.5", "10 2 2 2 2 2")
 _SHADES = ((0, 0.0), (0, 0.5), (1, 0.5), (0, 0.7))  # towards black or white
