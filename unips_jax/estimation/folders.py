@@ -172,7 +172,7 @@ def random_network(seed: int = 0) -> Network:
     """
     from unips_jax import weights
 
-    config = ModelConfig()
+    config = ModelConfig.paper()
     params = weights.random_weights(config, seed=seed)
     return _network(config, params, f"random, seed {seed}", trained=False)
 
