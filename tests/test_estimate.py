@@ -172,7 +172,9 @@ def test_warnings_go_to_standard_error(folder, tmp_path, calls, capsys):
 
 
 def test_random_weights_say_so(folder, tmp_path, calls, monkeypatch, capsys):
-    monkeypatch.setattr(weights, "random_weights", lambda config, seed: np.ones(3))
+    monkeypatch.setattr(
+        weights, "random_weights", lambda config, seed: {"a": np.ones(3)}
+    )
     assert run(folder, "-o", tmp_path, "--random-weights") == 0
     assert "RANDOM WEIGHTS: an untrained network" in capsys.readouterr().out
     record = json.loads((tmp_path / "pot/normals.json").read_text())
@@ -468,3 +470,18 @@ def test_module_runs_as_a_program():
     program = [sys.executable, "-m", "unips_jax.cli.estimate", "--help"]
     shown = subprocess.run(program, capture_output=True, text=True, check=True)
     assert "--normal-map" in shown.stdout
+
+
+@pytest.mark.parametrize("name", ["L_9.png", "a.txt", "mask.jpg"])
+def test_a_link_to_itself_is_one_line(folder, tmp_path, calls, capsys, name):
+    (folder / name).symlink_to(name)
+    expected = 0 if name == "a.txt" else 2
+    assert run(folder, "-o", tmp_path / "out") == expected
+    assert capsys.readouterr().err.count("\n") == (expected == 2)
+    (tmp_path / "loop").symlink_to("loop")
+    for arguments in (
+        (tmp_path / "loop", "-o", tmp_path / "o"),
+        (folder, "-o", "loop"),
+    ):
+        assert run(*arguments, "--mask", tmp_path / "loop") == 2
+        assert capsys.readouterr().err.count("\n") == 1

@@ -6,6 +6,7 @@ command started again, or beside itself, does only what is left.
 """
 
 import dataclasses
+import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -136,8 +137,8 @@ def _check_options(options: Options) -> None:
 
 
 def _check_workdir(workdir: Path, benchmark: Benchmark) -> None:
-    inside = workdir.resolve().is_relative_to(benchmark.root.resolve())
-    if inside:
+    place, root = map(os.path.realpath, (workdir, benchmark.root))
+    if Path(place).is_relative_to(root):
         raise InputError(f"--workdir {workdir} lies inside the data; choose another")
     if workdir.exists() and not workdir.is_dir():
         raise InputError(f"--workdir {workdir} is not a folder")

@@ -159,6 +159,11 @@ def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
     return masks[0] if masks else None
 
 
+def _same(file: Path, other: Path) -> bool:
+    # Path.resolve() fails where a link leads to itself.
+    return os.path.realpath(file) == os.path.realpath(other)
+
+
 def _images(
     entries: list[Path],
     mask_file: Path | None,
@@ -170,7 +175,7 @@ def _images(
     left_out: dict[str, list[str]] = {}
     for entry in entries:
         suffix = entry.suffix.lower()
-        if entry.is_dir() or (mask_file and entry.resolve() == mask_file.resolve()):
+        if entry.is_dir() or (mask_file and _same(entry, mask_file)):
             continue
         if _fits(entry, exclude):
             reason = "by --exclude"
@@ -201,7 +206,7 @@ def _by_name(
     maps = [file.name for file in images if file not in files]
     if maps:
         left_out["a map or output, by its name"] = maps
-    if folder.resolve().suffix == ".data":
+    if os.path.realpath(folder).endswith(".data"):
         for prefix in ("L", "0"):
             taken = [file for file in files if file.name.upper().startswith(prefix)]
             if taken:
