@@ -45,7 +45,7 @@ def test_measuring_replaces_what_is_named_and_says_what_is_left_out(
     table = {"columns": ["", "8"], "rows": [["UniPS", 3.25]]}
     kinds = {
         "demo": kind._replace(read=lambda setting, line: table),
-        "photographs": kind._replace(read=fails),
+        "real": kind._replace(read=fails),
     }
     monkeypatch.setitem(names, "MEASUREMENTS", kinds)
     monkeypatch.setitem(names, "FOLDER", tmp_path)
@@ -54,8 +54,8 @@ def test_measuring_replaces_what_is_named_and_says_what_is_left_out(
     setting = names["Setting"]("tiny", {})
     path = tmp_path / "01234567.json"
 
-    measure(["demo", "photographs"], setting)
-    assert "left out photographs: no photographs" in capsys.readouterr().out
+    measure(["demo", "real"], setting)
+    assert "left out real: no photographs" in capsys.readouterr().out
     figures = json.loads(path.read_text())
     assert (figures["hash"], figures["steps"]) == ("0123456789", 42)
     assert list(figures["measurements"]) == ["demo"]
@@ -162,3 +162,17 @@ def test_scores_of_scenes_are_read_by_number_of_images(measurements, monkeypatch
             ["camera: perspective", 3.0, 0.75],
         ],
     }
+
+
+def test_the_yardstick_is_averaged_over_objects(measurements, monkeypatch):
+    setting = measurements["Setting"]("tiny", {})
+    found = {
+        "diligent, 10 images": {
+            "ball": {"w": 5.0, "c": 45.0},
+            "cow": {"w": 8.0, "c": 35.0},
+        }
+    }
+    monkeypatch.setattr(type(setting), "run", lambda *_: json.dumps(found))
+    assert measurements["_real"](setting, "")["rows"] == [
+        ["diligent, 10 images", 2, 6.5, 40.0]
+    ]
