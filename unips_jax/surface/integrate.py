@@ -1,0 +1,225 @@
+"""Depth from normals, by bilateral normal integration.
+
+Conventions, equations and source are those of `unips_jax.surface.equations`. They are
+solved by iteratively reweighted least squares, first with equal weights. Each round
+solves for the change of depth, with a faint spring added to every edge: regions that
+the weights cut off entirely stay where they are, and the fixed point is the same.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from unips_jax.surface.equations import (
+    Edges,
+    Statements,
+    balance,
+    differences,
+    links,
+    statements,
+    system,
+)
+from unips_jax.surface.islands import island_means, label_islands
+from unips_jax.surface.multigrid import Springs, solve
+
+SHARPNESS = 2.0  # k of the paper
+PRIOR_WEIGHT = 1e-4
+_FAINT = 1e-5  # stiffness added to every edge of the matrix, not of the equations
+
+
+class Prior(NamedTuple):
+    """A known depth, in the unknown of the equations; both `[H, W]`.
+
+    Attributes:
+        depth: 0 where unknown.
+        weight: 0 where unknown.
+    """
+
+    depth: jax.Array
+    weight: jax.Array
+
+
+def integrate_normals(
+    normals: jax.Array,
+    mask: jax.Array,
+    *,
+    focal: jax.Array | float | None = None,
+    principal_point: tuple[jax.Array | float, jax.Array | float] | None = None,
+    prior: jax.Array | None = None,
+    prior_weight: jax.Array | float = PRIOR_WEIGHT,
+    sharpness: jax.Array | float = SHARPNESS,
+    rounds: int = 20,
+    tolerance: float = 1e-5,
+    max_steps: int = 100,
+) -> jax.Array:
+    """Depth whose surface has these normals; breaks where they say that it breaks.
+
+    A pure function for `jit`, `vmap` and `grad`: derivatives go through every round's
+    linear solve by the implicit function theorem, so that memory is one image a round.
+    Each part of the mask that is connected by pixels' edges has its own offset (with
+    perspective: scale), which normals do not tell.
+
+    Args:
+        normals: `[H, W, 3]`, x right, y up, z towards the viewer, row 0 at the top.
+            Pixels with NaN or 0 are holes.
+        mask: `[H, W]`, bool or above 0 where there is a surface.
+        focal: focal length in pixels; None for an orthographic camera.
+        principal_point: column and row in pixels, (0, 0) the centre of the first
+            pixel; None for the middle of the image. Perspective only.
+        prior: `[H, W]`, depth in the result's convention and the user's unit (an
+            orthographic one in pixels), NaN where unknown.
+        prior_weight: a number or `[H, W]`: of the squared difference to the prior,
+            beside the normals' squared error of slope. The prior decides over
+            distances above about `prior_weight ** -0.5` pixels, the normals below.
+        sharpness: of the choice between a pixel's two sides; 0 gives plain least
+            squares, which bridges jumps.
+        rounds: of reweighting, after the first solve with equal weights.
+        tolerance: of each linear solve's residual, relative.
+        max_steps: bound on the conjugate gradient steps of each solve.
+
+    Returns:
+        `[H, W]`, float32, growing away from the viewer. Orthographic: in pixels, mean
+        0 over each island. Perspective: distance along the optical axis, geometric
+        mean 1 over each island. With a prior: in its unit and place; islands without
+        it have its mean. 0 outside the mask and in holes.
+
+    Raises:
+        ValueError: if shapes do not fit, or `rounds` is negative.
+    """
+    check_shapes(normals.shape, mask.shape, None if prior is None else prior.shape)
+    if rounds < 0:
+        raise ValueError(f"rounds: expected 0 or more, got {rounds}")
+    said = statements(normals, mask > 0, focal, principal_point)
+    known, shift = read_prior(prior, prior_weight, said.inside, focal)
+
+    def advance(depth, sharpness):
+        new = reweight(said, known, depth, sharpness, tolerance, max_steps)
+        return new, None
+
+    sharpnesses = jnp.full(rounds + 1, sharpness, jnp.float32).at[0].set(0)
+    depth, _ = jax.lax.scan(advance, jnp.zeros_like(said.m), sharpnesses)
+    labels = label_islands(said.inside)
+    return finish(depth, said.inside, known, shift, labels, focal)
+
+
+def check_shapes(
+    normals: tuple[int, ...], mask: tuple[int, ...], prior: tuple[int, ...] | None
+) -> None:
+    """Refuses shapes that do not fit.
+
+    Args:
+        normals: of the normals.
+        mask: of the mask.
+        prior: of the prior, if there is one.
+
+    Raises:
+        ValueError: naming the argument, expected and received.
+    """
+    if len(mask) != 2 or 0 in mask:
+        raise ValueError(f"mask: expected [H, W], at least one pixel, got {mask}")
+    if normals != (*mask, 3):
+        raise ValueError(
+            f"normals: expected {(*mask, 3)} as of the mask, got {normals}"
+        )
+    if prior is not None and prior != mask:
+        raise ValueError(f"prior: expected {mask} as of the mask, got {prior}")
+
+
+def read_prior(
+    prior: jax.Array | None,
+    weight: jax.Array | float,
+    inside: jax.Array,
+    focal: jax.Array | float | None,
+) -> tuple[Prior, jax.Array]:
+    """Brings a prior to the unknown of the equations, shifted to mean 0.
+
+    Args:
+        prior: `[H, W]`, NaN where unknown; None for none.
+        weight: of the prior, a number or `[H, W]`.
+        inside: `[H, W]`, bool.
+        focal: in pixels, None if orthographic.
+
+    Returns:
+        The prior and its mean before the shift.
+    """
+    if prior is None:
+        nothing = jnp.zeros(inside.shape, jnp.float32)
+        return Prior(nothing, nothing), jnp.zeros((), jnp.float32)
+    known = inside & jnp.isfinite(prior)
+    if focal is None:
+        depth = jnp.where(known, prior, 0)
+    else:
+        known &= prior > 0
+        depth = focal * jnp.log(jnp.where(known, prior, 1))
+    shift = depth.sum() / jnp.maximum(known.sum(), 1)
+    return Prior(jnp.where(known, depth - shift, 0), jnp.where(known, weight, 0)), shift
+
+
+def reweight(
+    said: Statements,
+    prior: Prior,
+    depth: jax.Array,
+    sharpness: jax.Array | float,
+    tolerance: float,
+    max_steps: int,
+) -> jax.Array:
+    """One round: weights from the depth, then the depth that is best for them.
+
+    Args:
+        said: what the normals say.
+        prior: weight 0 where there is none.
+        depth: `[H, W]`, in the unknown of the equations.
+        sharpness: of the weights, 0 for equal ones.
+        tolerance: of the linear solve.
+        max_steps: of the linear solve.
+
+    Returns:
+        The new depth, `[H, W]`.
+    """
+    stiffness, asked = system(said, depth, sharpness)
+    faint = Edges(
+        *(
+            jnp.where(linked, each + _FAINT, 0)
+            for linked, each in zip(links(said.inside), stiffness, strict=True)
+        )
+    )
+    step = differences(depth)
+    missing = Edges(
+        stiffness.right * (asked.right - step.right),
+        stiffness.down * (asked.down - step.down),
+    )
+    force = balance(missing) + prior.weight * (prior.depth - depth)
+    change = solve(
+        Springs(faint, prior.weight), force, tolerance=tolerance, max_steps=max_steps
+    )
+    return depth + change
+
+
+def finish(
+    depth: jax.Array,
+    inside: jax.Array,
+    prior: Prior,
+    shift: jax.Array,
+    labels: jax.Array,
+    focal: jax.Array | float | None,
+) -> jax.Array:
+    """Sets each island's offset and turns the unknown into depth.
+
+    Args:
+        depth: `[H, W]`, the unknown.
+        inside: `[H, W]`, bool.
+        prior: islands where its weight is 0 have mean 0.
+        shift: added.
+        labels: `[H, W]`, of the islands.
+        focal: in pixels, None if orthographic.
+
+    Returns:
+        `[H, W]`, 0 outside.
+    """
+    mean, _ = island_means(depth, inside.astype(depth.dtype), labels)
+    _, held = island_means(depth, prior.weight, labels)
+    depth = depth - jnp.where(held > 0, 0, mean) + shift
+    if focal is not None:
+        depth = jnp.exp(jnp.where(inside, depth, 0) / focal)
+    return jnp.where(inside, depth, 0)
