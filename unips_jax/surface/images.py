@@ -24,7 +24,7 @@ from unips_jax.surface.integrate import (
     reweight,
 )
 
-_TOLERANCE = 1e-3  # of each linear solve: the next round mends what is left
+_TOLERANCE = 1e-2  # of each linear solve: the next round mends what is left
 _MAX_STEPS = 50
 _SETTLED = 0.01  # pixels
 _MULTIPLE = 64  # sizes are padded to it, so that fewer of them are compiled
