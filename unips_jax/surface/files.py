@@ -1,0 +1,66 @@
+"""Depth on disk, each file with its unit and scale in words.
+
+    depth.exr    float32, one channel Z; grows away from the viewer; NaN: no surface
+    depth.png    16 bits; 1 is nearest, 65535 farthest; 0: no surface
+    height.png   16 bits; 0 is farthest, 65535 nearest, for displacement; 0 outside too
+
+The PNGs' text chunks and the record hold the depth that levels stand for.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_TOP = 65535
+
+
+def write_depth(folder: Path, depth: np.ndarray, *, unit: str) -> dict[str, Any]:
+    """Writes `depth.exr`, `depth.png` and `height.png`.
+
+    Args:
+        folder: where; it exists.
+        depth: `[H, W]`, float32, NaN where there is no surface.
+        unit: of the depth, said in the files.
+
+    Returns:
+        For the record: the unit, nearest and farthest depth, and what each level of
+        the PNGs means.
+    """
+    import OpenEXR
+
+    there = np.isfinite(depth)
+    near = float(depth[there].min()) if there.any() else 0.0
+    far = float(depth[there].max()) if there.any() else 0.0
+    reach = far - near
+    share = np.where(there, depth - near, 0) / (reach or 1.0)
+    levels = np.where(there, 1 + np.round(share * (_TOP - 1)), 0).astype(np.uint16)
+    heights = np.where(there, np.round((1 - share) * _TOP), 0).astype(np.uint16)
+    facts = {
+        "unit": unit,
+        "near": near,
+        "far": far,
+        "depth.png": f"depth = {near:.9g} + (level - 1) * {reach / (_TOP - 1):.9g} "
+        f"{unit}, away from the viewer; level 0: no surface",
+        "height.png": f"height above the farthest point = level * {reach / _TOP:.9g} "
+        f"{unit}, towards the viewer; full scale {reach:.9g} {unit}",
+    }
+    OpenEXR.File(
+        {
+            "compression": OpenEXR.ZIP_COMPRESSION,
+            "type": OpenEXR.scanlineimage,
+            "comments": f"depth in {unit}, away from the viewer; NaN: no surface",
+        },
+        {"Z": np.ascontiguousarray(depth, np.float32)},
+    ).write(str(folder / "depth.exr"))
+    _write_png(folder / "depth.png", levels, str(facts["depth.png"]))
+    _write_png(folder / "height.png", heights, str(facts["height.png"]))
+    return facts
+
+
+def _write_png(path: Path, levels: np.ndarray, text: str) -> None:
+    from PIL import Image, PngImagePlugin
+
+    chunks = PngImagePlugin.PngInfo()
+    chunks.add_text("Description", text)
+    Image.fromarray(levels).save(path, pnginfo=chunks)

@@ -1,0 +1,238 @@
+"""Triangle meshes of depth, written through trimesh (PLY, OBJ, GLB).
+
+Vertices are the pixels' surface points in the normals' frame: x right, y up, z towards
+the viewer, z = -depth. Orthographic: x and y are 0 in the middle of the image.
+Perspective: the camera is at the origin and looks along -z, as in glTF, OpenGL and
+Blender. Triangles are counter-clockwise seen by the viewer, so that they face him.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from unips_jax.errors import InputError
+
+SUFFIXES = (".ply", ".obj", ".glb")
+CUT = 20.0
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+
+
+class Mesh(NamedTuple):
+    """A triangle mesh.
+
+    Attributes:
+        vertices: `[V, 3]`, float32.
+        faces: `[F, 3]`, int32: the corners' vertices, counter-clockwise from in front.
+        pixels: `[V]`, the vertices' pixels: row times width plus column.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    pixels: np.ndarray
+
+
+def mesh_of_depth(
+    depth: np.ndarray,
+    *,
+    focal: float | None = None,
+    principal_point: tuple[float, float] | None = None,
+    pixel_size: float = 1.0,
+    cut: float | None = CUT,
+) -> Mesh:
+    """Joins neighbouring pixels' surface points by triangles.
+
+    Args:
+        depth: `[H, W]`, NaN where there is no surface, growing away from the viewer.
+        focal: in pixels; None for an orthographic camera.
+        principal_point: column and row; None for the middle of the image.
+        pixel_size: side of a pixel in depth's unit; orthographic only.
+        cut: triangles whose depth ranges over more than so many pixels (at their
+            distance) are left out: jumps are not bridged. None keeps all.
+
+    Returns:
+        The mesh; pixels without a triangle have no vertex.
+
+    Raises:
+        ValueError: if `depth` is not an image or `pixel_size` or `cut` is not above 0.
+    """
+    if depth.ndim != 2:
+        raise ValueError(f"depth: expected [H, W], got {depth.shape}")
+    for name, value in (("pixel_size", pixel_size), ("cut", cut)):
+        if value is not None and not value > 0:
+            raise ValueError(f"{name}: expected above 0, got {value}")
+    faces = _triangles(depth)
+    if cut is not None:
+        corners = depth.ravel()[faces]
+        spacing = pixel_size if focal is None else corners.mean(axis=1) / focal
+        faces = faces[np.ptp(corners, axis=1) <= cut * spacing]
+    used = np.zeros(depth.size, bool)
+    used[faces.ravel()] = True
+    pixels = np.flatnonzero(used)
+    number = np.cumsum(used, dtype=np.int32) - 1
+    points = _points(depth, pixels, focal, principal_point, pixel_size)
+    return Mesh(points, number[faces], pixels)
+
+
+def write_mesh(
+    path: Path,
+    mesh: Mesh,
+    *,
+    colors: np.ndarray | None = None,
+    max_faces: int | None = None,
+    unit: str = "pixels",
+) -> int:
+    """Writes a mesh.
+
+    Args:
+        path: ends in `.ply`, `.obj` or `.glb`. GLB is in metres where the unit is m,
+            cm or mm, and its colours are linear, as glTF asks; the others hold the
+            unit and sRGB.
+        mesh: from `mesh_of_depth`.
+        colors: `[H, W, 3]`, uint8, sRGB, of the image: colours of the vertices.
+        max_faces: simplified to so many triangles, if it has more (quadric error).
+        unit: of the vertices, said in the file.
+
+    Returns:
+        The number of triangles written.
+
+    Raises:
+        InputError: if trimesh is not installed, the suffix is another or the mesh has
+            no triangle.
+    """
+    check_mesh_file(path)
+    trimesh = _trimesh()
+    if not len(mesh.faces):
+        raise InputError(
+            f"{path}: expected a surface of more than single pixels, got no triangle; "
+            "give a larger mask or a larger --cut"
+        )
+    scale = _METRES.get(unit, 1.0) if path.suffix == ".glb" else 1.0
+    vertices, faces = mesh.vertices * np.float32(scale), mesh.faces
+    painted = None
+    if colors is not None:
+        painted = np.asarray(colors).reshape(-1, 3)[mesh.pixels]
+        if path.suffix == ".glb":
+            painted = _linear(painted)
+    shape = trimesh.Trimesh(vertices, faces, process=False)
+    if max_faces is not None and len(faces) > max_faces:
+        shape = _simplified(trimesh, shape, max_faces)
+        if painted is not None:
+            painted = painted[_nearest(vertices, shape.vertices)]
+    if painted is not None:
+        shape.visual.vertex_colors = painted
+    stated = "m" if scale != 1 or unit == "m" else unit
+    shape.units = stated
+    path.write_bytes(_encoded(shape, path.suffix, f"unit: {stated}"))
+    return len(shape.faces)
+
+
+def check_mesh_file(path: Path) -> None:
+    """Refuses what `write_mesh` could not write, before there is a mesh.
+
+    Args:
+        path: of the mesh.
+
+    Raises:
+        InputError: if the suffix is another, or trimesh is not installed.
+    """
+    if path.suffix not in SUFFIXES:
+        raise InputError(
+            f"{path}: expected a mesh ending in {', '.join(SUFFIXES)}, got "
+            f"{path.suffix or 'no suffix'}; rename it"
+        )
+    _trimesh()
+
+
+def _triangles(depth: np.ndarray) -> np.ndarray:
+    """All triangles of pixels in a square of 2 x 2: `[F, 3]`, int32, flat indices.
+
+    A square is split along the diagonal over which depth differs less.
+    """
+    there = np.isfinite(depth)
+    index = np.arange(depth.size, dtype=np.int32).reshape(depth.shape)
+
+    def corners(values: np.ndarray) -> tuple[np.ndarray, ...]:
+        return values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]
+
+    a, b, c, d = corners(index)
+    ha, hb, hc, hd = corners(there)
+    da, db, dc, dd = corners(np.where(there, depth, 0))
+    falling = np.where(ha & hd, np.abs(da - dd), np.inf)
+    rising = np.where(hb & hc, np.abs(db - dc), np.inf)
+    first = falling <= rising
+    chosen = (
+        (first & ha & hc & hd, (a, c, d)),
+        (first & ha & hd & hb, (a, d, b)),
+        (~first & ha & hc & hb, (a, c, b)),
+        (~first & hc & hd & hb, (c, d, b)),
+    )
+    return np.concatenate(
+        [np.stack([each[where] for each in ends], -1) for where, ends in chosen]
+    )
+
+
+def _points(
+    depth: np.ndarray,
+    pixels: np.ndarray,
+    focal: float | None,
+    principal_point: tuple[float, float] | None,
+    pixel_size: float,
+) -> np.ndarray:
+    height, width = depth.shape
+    middle = ((width - 1) / 2, (height - 1) / 2)
+    column, row = middle if focal is None else principal_point or middle
+    away = depth.ravel()[pixels].astype(np.float64)
+    factor = pixel_size if focal is None else away / focal
+    across, down = pixels % width - column, pixels // width - row
+    return np.stack([across * factor, -down * factor, -away], -1).astype(np.float32)
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        raise InputError(
+            "a mesh: expected the package trimesh, which is not installed; "
+            "`pip install 'unips-jax[mesh]'`"
+        ) from None
+    return trimesh
+
+
+def _simplified(trimesh: Any, shape: Any, max_faces: int) -> Any:
+    try:
+        import fast_simplification
+    except ImportError:
+        raise InputError(
+            "--max-faces: expected the package fast-simplification, which is not "
+            "installed; `pip install 'unips-jax[mesh]'`"
+        ) from None
+    vertices, faces = fast_simplification.simplify(
+        np.asarray(shape.vertices, np.float32),
+        np.asarray(shape.faces, np.int32),
+        target_count=max_faces,
+    )
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def _nearest(known: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    from scipy.spatial import cKDTree
+
+    return cKDTree(known).query(asked)[1]
+
+
+def _linear(colors: np.ndarray) -> np.ndarray:
+    """SRGB to linear, both uint8."""
+    level = np.arange(256) / 255
+    linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+    return np.round(linear * 255).astype(np.uint8)[colors]
+
+
+def _encoded(shape: Any, suffix: str, comment: str) -> bytes:
+    if suffix == ".obj":
+        return shape.export(file_type="obj", header=comment).encode()
+    data = shape.export(file_type=suffix[1:])
+    if suffix == ".ply":
+        head, rest = data.split(b"\n", 2)[:2], data.split(b"\n", 2)[2]
+        data = b"\n".join([*head, b"comment " + comment.encode(), rest])
+    return data
