@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from unips_jax.surface import integrate_image, integrate_normals
+from unips_jax import integrate_image, integrate_normals
 from unips_jax.surface.islands import label_islands
 
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from unips_jax.metrics import angular_error_deg
     from unips_jax.models.config import ModelConfig
     from unips_jax.scenes.render import render_scene
+    from unips_jax.surface.images import integrate_image
+    from unips_jax.surface.integrate import integrate_normals
     from unips_jax.weights import load_weights
 
 __version__ = "0.1.0"
@@ -38,6 +40,8 @@ __all__ = [
     "angular_error_deg",
     "estimate_normals",
     "estimate_photographs",
+    "integrate_image",
+    "integrate_normals",
     "load_weights",
     "read_photographs",
     "render_scene",
@@ -48,6 +52,8 @@ _MODULES = {
     "angular_error_deg": "metrics",
     "estimate_normals": "estimation.pure",
     "estimate_photographs": "estimation.streaming",
+    "integrate_image": "surface.images",
+    "integrate_normals": "surface.integrate",
     "load_weights": "weights",
     "read_photographs": "io.photographs",
     "render_scene": "scenes.render",

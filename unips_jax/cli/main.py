@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 COMMANDS = {
     "estimate": ("cli.estimate", "normals from folders of photographs"),
     "train": ("train", "train the network"),
+    "surface": ("cli.surface", "depth and a mesh from normals"),
     "validate": ("cli.validate", "score weights on held-out scenes"),
     "eval": ("cli.eval", "evaluate UniPS and other methods on benchmarks"),
     "render": ("cli.render", "make scenes with known normals"),

@@ -42,6 +42,14 @@ from unips_jax.io.selection import Selection, select
 from unips_jax.models.config import ModelConfig
 from unips_jax.pictures.estimate_sheet import write_sheet
 from unips_jax.provenance import code_hash
+from unips_jax.surface.mesh import check_mesh_file
+from unips_jax.surface.outputs import (
+    MeshFormat,
+    focal_of,
+    photograph_colors,
+    print_surface,
+    write_surface,
+)
 
 # What the results follow from, beside photographs, weights and options.
 _CODE = (
@@ -50,6 +58,7 @@ _CODE = (
     "io.official",
     "io.normals",
     "pictures.estimate_sheet",
+    "surface.outputs",
 )
 
 
@@ -74,6 +83,10 @@ class FolderOptions:
         exr: also write normals.exr.
         mat: also write normals.mat, for MATLAB, key Normal_est.
         normal_map: green of PNG and EXR is up (opengl) or down (directx).
+        depth: also write depth.exr, depth.png and height.png; see `unips surface`.
+        mesh: also write a mesh, and the depth.
+        focal: focal length of the depth's camera in pixels, or exif, of the first
+            photograph; without it the camera is orthographic.
     """
 
     mask: Path | None = None
@@ -88,6 +101,9 @@ class FolderOptions:
     exr: bool = False
     mat: bool = False
     normal_map: NormalMap = "opengl"
+    depth: bool = False
+    mesh: MeshFormat | None = None
+    focal: str | None = None
 
     def check(self) -> None:
         """Checks what the types do not.
@@ -113,6 +129,24 @@ class FolderOptions:
                 f"--size {self.size}: results have the photographs' size; leave it "
                 "out, or add --reader official"
             )
+        self._check_surface()
+
+    def _check_surface(self) -> None:
+        if self.mesh is not None:
+            check_mesh_file(Path(f"mesh.{self.mesh}"))
+        if self.focal is None:
+            return
+        if not (self.depth or self.mesh):
+            raise InputError(
+                "--focal: expected a depth to use it for, got none; add --depth"
+            )
+        if self.reader == "official":
+            raise InputError(
+                "--focal: the authors' reader resizes the photographs; leave out "
+                "--reader official"
+            )
+        if self.focal != "exif":
+            focal_of(self.focal, None, None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,6 +174,8 @@ class Estimate:
         transfer: how the images encode light.
         normals: `[H, W, 3]`, float32, unit length inside the mask, zero outside.
         record: the content of `normals.json`, less the files' hashes.
+        focal: in pixels, if there is a depth to write and its camera is not
+            orthographic.
     """
 
     images: np.ndarray
@@ -147,6 +183,7 @@ class Estimate:
     transfer: Transfer
     normals: np.ndarray
     record: dict[str, Any]
+    focal: float | None = None
 
 
 def load_network(source: str = "tiny") -> Network:
@@ -251,6 +288,7 @@ def estimate_selection(
     images, mask, transfer = capture.images, capture.mask, capture.transfer
     warnings = [*capture.notes, *capture_warnings(images, mask, selection.names)]
     made_from = _input_record(selection, network, options, reader)
+    focal = focal_of(options.focal, capture.focal, selection.files[0])
     record = complete_record(
         made_from, images, mask, transfer, capture.transfer_rule, warnings
     )
@@ -272,7 +310,7 @@ def estimate_selection(
             normals = estimate(progress=report)
     else:
         normals = estimate()
-    return Estimate(images, mask, transfer, normals, record)
+    return Estimate(images, mask, transfer, normals, record, focal)
 
 
 def write_estimate(
@@ -321,12 +359,36 @@ def write_estimate(
             encoded=estimate.transfer == "srgb",
             truth=truth,
         )
+        if options.depth or options.mesh:
+            record["surface"] = _write_surface(place, estimate, options, verbose)
         if more is not None:
             more(place)
         names = write_record(place, record)
     if verbose:
         print_line("wrote", f"{target}/: {', '.join(names)}")
     return record
+
+
+def _write_surface(
+    place: Path, estimate: Estimate, options: FolderOptions, verbose: bool
+) -> dict[str, Any]:
+    colors = None
+    if options.mesh is not None:
+        mean = np.asarray(np.mean(estimate.images, axis=0, dtype=np.float32))
+        dtype = estimate.images.dtype
+        largest = np.float32(np.iinfo(dtype).max if dtype.kind == "u" else 1)
+        colors = photograph_colors(mean / largest, estimate.transfer)
+    facts = write_surface(
+        place,
+        estimate.normals,
+        estimate.mask,
+        focal=estimate.focal,
+        mesh=options.mesh,
+        colors=colors,
+    )
+    if verbose:
+        print_surface(facts)
+    return facts
 
 
 def _network(config: ModelConfig, params: Any, name: str, *, trained: bool) -> Network:

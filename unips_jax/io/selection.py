@@ -33,7 +33,7 @@ _UNREAD_SUFFIXES = frozenset(
 _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
 _MAP_NAME = re.compile(
     # Such a word of its own.
-    rf"\b(?:{_MAP_WORDS}|albedo|gt)\b|^shading\b|^sheet$",
+    rf"\b(?:{_MAP_WORDS}|albedo|gt)\b|^shading\b|^sheet$|^height$",
     re.IGNORECASE,
 )
 _MAP_ONLY = re.compile(

@@ -1,0 +1,217 @@
+"""Depth and a mesh from normals.
+
+NORMALS is a normal map (PNG, EXR, TIFF), an array (.npy) or a folder of results of
+`unips estimate`. OUT receives depth.exr (float), depth.png and height.png (16 bit),
+surface.json, which states units and scales, and on request mesh.ply, .obj or .glb.
+Depth grows away from the viewer; normals tell it up to an offset (orthographic) or a
+scale (perspective) of each connected part of the mask.
+
+Method: bilateral normal integration (Cao et al., ECCV 2022), which keeps jumps.
+"""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from unips_jax.console import command, parse, progress, start_jax
+from unips_jax.errors import InputError
+from unips_jax.io.images import read_image_file
+from unips_jax.io.masks import read_mask
+from unips_jax.io.normals import NormalMap, flip_green, read_normals
+from unips_jax.io.record import print_line
+from unips_jax.io.results import appearing_at_once
+from unips_jax.surface.mesh import check_mesh_file
+from unips_jax.surface.outputs import (
+    MeshFormat,
+    focal_of,
+    photograph_colors,
+    print_surface,
+    write_surface,
+)
+
+RECORD = "surface.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `unips surface`.
+
+    Attributes:
+        normals: a normal map, a .npy, or a folder of results.
+        output: folder for the results.
+        mask: an image that is bright on the object; by default where normals are not 0.
+        normal_map: green of a normal map is up (opengl) or down (directx); arrays are
+            always up.
+        photograph: an image of the same size: colours of the mesh, and --focal exif.
+        focal: focal length in pixels, or exif, of the photograph; without it the camera
+            is orthographic.
+        prior: known depth in the results' sense, an EXR (channel Z) or .npy, NaN where
+            unknown; in pixels if orthographic.
+        prior_weight: trust in the prior, against the normals.
+        sharpness: how readily depth breaks; 0 never.
+        scale: size of a pixel (orthographic), or the object's mean distance
+            (perspective), in the unit.
+        unit: of the scale, such as mm.
+        mesh: also write a mesh.
+        max_faces: simplify the mesh to so many triangles.
+        cut: leave out triangles that range over more than so many pixels in depth.
+    """
+
+    normals: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="NORMALS")]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+    mask: Path | None = None
+    normal_map: NormalMap = "opengl"
+    photograph: Path | None = None
+    focal: Annotated[str | None, tyro.conf.arg(metavar="PIXELS|exif")] = None
+    prior: Path | None = None
+    prior_weight: float = 1e-4
+    sharpness: float = 2.0
+    scale: float = 1.0
+    unit: str | None = None
+    mesh: MeshFormat | None = None
+    max_faces: int | None = None
+    cut: float = 20.0
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """`unips surface`."""
+    options = parse(Options, argv, prog="unips surface", description=__doc__)
+    _check(options)
+    normals = _normals(options)
+    size = normals.shape[:2]
+    mask = None
+    if options.mask is not None:
+        mask = read_mask(options.mask)
+        _check_size(options.mask, mask.shape, size)
+    photograph = None
+    if options.photograph is not None:
+        photograph = read_image_file(options.photograph)
+        _check_size(options.photograph, photograph.pixels.shape[:2], size)
+    prior = None if options.prior is None else _prior(options.prior, size)
+    exif = None if photograph is None else photograph.focal
+    focal = focal_of(options.focal, exif, options.photograph)
+    colors = None
+    if photograph is not None:
+        pixels = photograph.pixels
+        colors = photograph_colors(pixels, photograph.encoding.transfer)
+    start_jax()
+    with appearing_at_once(options.output) as place, progress("integrating") as report:
+        facts = write_surface(
+            place,
+            normals,
+            mask,
+            focal=focal,
+            prior=prior,
+            prior_weight=options.prior_weight,
+            sharpness=options.sharpness,
+            scale=options.scale,
+            unit=options.unit,
+            mesh=options.mesh,
+            max_faces=options.max_faces,
+            cut=options.cut,
+            colors=colors,
+            progress=lambda share: report(round(100 * share), 100),
+        )
+        names = sorted(file.name for file in place.iterdir())
+        record = {"normals": str(options.normals), **facts, "files": names}
+        text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
+        (place / RECORD).write_bytes(text.encode(errors="backslashreplace"))
+    print_surface(facts)
+    print_line("wrote", f"{options.output}/: {', '.join([*names, RECORD])}")
+
+
+def _check(options: Options) -> None:
+    for name in ("scale", "cut", "max_faces"):
+        value = getattr(options, name)
+        if value is not None and not (np.isfinite(value) and value > 0):
+            option = name.replace("_", "-")
+            raise InputError(f"--{option}: expected above 0, got {value}")
+    for name in ("prior_weight", "sharpness"):
+        value = getattr(options, name)
+        if not (np.isfinite(value) and value >= 0):
+            option = name.replace("_", "-")
+            raise InputError(f"--{option}: expected 0 or more, got {value}")
+    if options.mesh is not None:
+        check_mesh_file(Path(f"mesh.{options.mesh}"))
+    place = options.output
+    if place.exists() and not place.is_dir():
+        raise InputError(f"{place}: expected a folder, got a file; choose another -o")
+    if place.is_dir() and any(place.iterdir()) and not (place / RECORD).is_file():
+        raise InputError(
+            f"{place}: expected a new folder or one with earlier results ({RECORD}), "
+            "got one with other files; choose another -o"
+        )
+
+
+def _normals(options: Options) -> np.ndarray:
+    path = options.normals
+    if path.is_dir():
+        path = path / "normals.npy"
+    if path.suffix != ".npy":
+        normals = read_normals(path)
+        return flip_green(normals) if options.normal_map == "directx" else normals
+    normals = _array(path)
+    if normals.ndim != 3 or normals.shape[2] != 3:
+        raise InputError(
+            f"{path}: expected normals, [H, W, 3], got {normals.shape}; give the array "
+            "that `unips estimate` writes"
+        )
+    return normals
+
+
+def _array(path: Path) -> np.ndarray:
+    try:
+        values = np.load(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: expected an array of numbers: {error}") from None
+    if values.dtype.kind not in "fiu":
+        raise InputError(f"{path}: expected numbers, got {values.dtype}")
+    return values.astype(np.float32)
+
+
+def _prior(path: Path, size: tuple[int, int]) -> np.ndarray:
+    prior = _array(path) if path.suffix == ".npy" else _depth(path)
+    _check_size(path, prior.shape, size)
+    return prior
+
+
+def _depth(path: Path) -> np.ndarray:
+    """Channel Z of an EXR, which images' readers do not know."""
+    import OpenEXR
+
+    if not path.is_file() or path.read_bytes()[:4] != b"\x76\x2f\x31\x01":
+        raise InputError(
+            f"{path}: expected depth as an EXR with channel Z, or a .npy, got another "
+            "file or none; convert it"
+        )
+    try:
+        channels = OpenEXR.File(str(path)).channels()
+    except Exception as error:  # the library raises what it likes
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    if "Z" not in channels:
+        raise InputError(
+            f"{path}: expected the channel Z, got {', '.join(channels)}; rename it"
+        )
+    return channels["Z"].pixels.astype(np.float32)
+
+
+def _check_size(path: Path, got: tuple[int, ...], expected: tuple[int, int]) -> None:
+    if tuple(got) != tuple(expected):
+        height, width = expected
+        raise InputError(
+            f"{path}: expected the normals' size, {width} x {height}, got "
+            f"{' x '.join(map(str, got[::-1]))}; resize it"
+        )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

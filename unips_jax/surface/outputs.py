@@ -1,0 +1,171 @@
+"""From normals to a folder's files of depth and mesh, and what the record says."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from unips_jax.errors import InputError
+from unips_jax.io.color import Transfer, as_linear, srgb_encode
+from unips_jax.io.record import print_line
+from unips_jax.surface.files import write_depth
+from unips_jax.surface.mesh import CUT, mesh_of_depth, write_mesh
+
+MeshFormat = Literal["ply", "obj", "glb"]
+
+
+def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float | None:
+    """The focal length that `--focal` asks for, in pixels; None if orthographic.
+
+    Args:
+        asked: a number, "exif", or None.
+        exif: what the photograph's EXIF data tell.
+        file: the photograph, if there is one.
+
+    Raises:
+        InputError: if it is neither, or the photograph does not tell.
+    """
+    if asked is None:
+        return None
+    if asked == "exif":
+        if file is None:
+            raise InputError(
+                "--focal exif: expected a photograph, got none; add --photograph FILE"
+            )
+        if exif is None:
+            raise InputError(
+                f"{file}: expected EXIF data with the focal length for a 35 mm film, "
+                "got none; give --focal in pixels"
+            )
+        return exif
+    try:
+        focal = float(asked)
+    except ValueError:
+        focal = -1.0
+    if not (math.isfinite(focal) and focal > 0):
+        raise InputError(f"--focal: expected pixels above 0, or exif, got {asked}")
+    return focal
+
+
+def photograph_colors(pixels: np.ndarray, transfer: Transfer) -> np.ndarray:
+    """A photograph as colours of a mesh: `[H, W, 3]`, uint8, sRGB.
+
+    Args:
+        pixels: `[H, W, 1 or 3]`, uint8, uint16 or float32. Linear ones are scaled so
+            that their brightest half a percent is white.
+        transfer: how they encode light.
+    """
+    linear = as_linear(pixels, transfer)
+    if transfer == "linear":
+        linear = linear / max(float(np.quantile(linear, 0.995)), 1e-12)
+    encoded = np.round(255 * srgb_encode(linear)).astype(np.uint8)
+    return np.broadcast_to(encoded, (*pixels.shape[:2], 3))
+
+
+def print_surface(facts: dict[str, Any]) -> None:
+    """Prints what `write_surface` found.
+
+    Args:
+        facts: what it returned.
+    """
+    reach = facts["far"] - facts["near"]
+    print_line(
+        "depth",
+        f"{facts['camera']}, {facts['islands']} connected parts, from nearest to "
+        f"farthest {reach:.4g} {facts['unit']}",
+    )
+
+
+def write_surface(
+    folder: Path,
+    normals: np.ndarray,
+    mask: np.ndarray | None = None,
+    *,
+    focal: float | None = None,
+    principal_point: tuple[float, float] | None = None,
+    prior: np.ndarray | None = None,
+    prior_weight: float = 1e-4,
+    sharpness: float = 2.0,
+    scale: float = 1.0,
+    unit: str | None = None,
+    mesh: MeshFormat | None = None,
+    max_faces: int | None = None,
+    cut: float = CUT,
+    colors: np.ndarray | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Integrates normals and writes depth, height and, on request, a mesh.
+
+    Args:
+        folder: where; it exists.
+        normals: `[H, W, 3]`, as for `integrate_image`, and so are the arguments up to
+            `sharpness`.
+        mask: as there.
+        focal: as there.
+        principal_point: as there.
+        prior: as there.
+        prior_weight: as there.
+        sharpness: as there.
+        scale: what one unit of `integrate_image`'s depth is in the files' unit: of a
+            pixel's side (orthographic), of each island's mean distance (perspective),
+            of the prior's unit (perspective with a prior).
+        unit: of the files; by default what scale 1 means, in words.
+        mesh: format, if there is to be one.
+        max_faces: see `write_mesh`.
+        cut: see `mesh_of_depth`.
+        colors: `[H, W, 3]`, uint8, sRGB: the mesh's colours.
+        progress: called with the fraction of the integration done.
+
+    Returns:
+        For the record: camera, islands, rounds, unit and scale, the meaning of levels.
+
+    Raises:
+        InputError: if there is no pixel with a normal, or the mesh cannot be written.
+        ValueError: if arguments do not fit.
+    """
+    from unips_jax.surface.images import integrate_image
+
+    found = integrate_image(
+        normals,
+        mask,
+        focal=focal,
+        principal_point=principal_point,
+        prior=prior,
+        prior_weight=prior_weight,
+        sharpness=sharpness,
+        progress=progress,
+    )
+    if not found.islands:
+        raise InputError(
+            "expected normals inside the mask, got none; give normals that are not 0 "
+            "there, or another mask"
+        )
+    if unit is None:
+        own = "prior's units" if prior is not None else "mean distances"
+        unit = "pixels" if focal is None else own
+    depth = found.depth * np.float32(scale)
+    facts: dict[str, Any] = {
+        "camera": "orthographic" if focal is None else "perspective",
+        "focal_px": focal,
+        "principal_point": principal_point,
+        "islands": found.islands,
+        "rounds": found.rounds,
+        "last_change_px": found.last_change_px,
+        "scale": scale,
+        **write_depth(folder, depth, unit=unit),
+    }
+    if mesh is not None:
+        shape = mesh_of_depth(
+            depth,
+            focal=focal,
+            principal_point=principal_point,
+            pixel_size=scale,
+            cut=cut,
+        )
+        path = folder / f"mesh.{mesh}"
+        facts["faces"] = write_mesh(
+            path, shape, colors=colors, max_faces=max_faces, unit=unit
+        )
+    return facts
