@@ -46,7 +46,7 @@ from unips_jax.surface.mesh import check_mesh_file
 from unips_jax.surface.outputs import (
     MeshFormat,
     focal_of,
-    photograph_colors,
+    mean_colors,
     print_surface,
     write_surface,
 )
@@ -360,35 +360,25 @@ def write_estimate(
             truth=truth,
         )
         if options.depth or options.mesh:
-            record["surface"] = _write_surface(place, estimate, options, verbose)
+            colors = None
+            if options.mesh:
+                colors = mean_colors(estimate.images, estimate.transfer)
+            record["surface"] = write_surface(
+                place,
+                estimate.normals,
+                estimate.mask,
+                focal=estimate.focal,
+                mesh=options.mesh,
+                colors=colors,
+            )
+            if verbose:
+                print_surface(record["surface"])
         if more is not None:
             more(place)
         names = write_record(place, record)
     if verbose:
         print_line("wrote", f"{target}/: {', '.join(names)}")
     return record
-
-
-def _write_surface(
-    place: Path, estimate: Estimate, options: FolderOptions, verbose: bool
-) -> dict[str, Any]:
-    colors = None
-    if options.mesh is not None:
-        mean = np.asarray(np.mean(estimate.images, axis=0, dtype=np.float32))
-        dtype = estimate.images.dtype
-        largest = np.float32(np.iinfo(dtype).max if dtype.kind == "u" else 1)
-        colors = photograph_colors(mean / largest, estimate.transfer)
-    facts = write_surface(
-        place,
-        estimate.normals,
-        estimate.mask,
-        focal=estimate.focal,
-        mesh=options.mesh,
-        colors=colors,
-    )
-    if verbose:
-        print_surface(facts)
-    return facts
 
 
 def _network(config: ModelConfig, params: Any, name: str, *, trained: bool) -> Network:

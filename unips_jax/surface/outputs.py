@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.color import Transfer, as_linear, srgb_encode
+from unips_jax.io.color import Transfer, as_float, as_linear, srgb_encode
 from unips_jax.io.record import print_line
 from unips_jax.surface.files import write_depth
 from unips_jax.surface.mesh import CUT, mesh_of_depth, write_mesh
@@ -62,6 +62,19 @@ def photograph_colors(pixels: np.ndarray, transfer: Transfer) -> np.ndarray:
         linear = linear / max(float(np.quantile(linear, 0.995)), 1e-12)
     encoded = np.round(255 * srgb_encode(linear)).astype(np.uint8)
     return np.broadcast_to(encoded, (*pixels.shape[:2], 3))
+
+
+def mean_colors(images: np.ndarray, transfer: Transfer) -> np.ndarray:
+    """`photograph_colors` of the photographs' mean.
+
+    Args:
+        images: `[N, H, W, 3]`, uint8, uint16 or float32.
+        transfer: how they encode light.
+    """
+    mean = np.zeros(images.shape[1:], np.float32)
+    for image in images:
+        mean += as_float(image) / len(images)
+    return photograph_colors(mean, transfer)
 
 
 def print_surface(facts: dict[str, Any]) -> None:

@@ -1,0 +1,146 @@
+"""`unips surface`, and depth and mesh of `unips estimate`."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from unips_jax.cli.estimate import main as estimate
+from unips_jax.cli.surface import main as surface
+from unips_jax.io.normals import encode_normals
+from unips_jax.io.photographs import select
+
+trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")
+
+
+def hemisphere(size=48):
+    row, column = np.mgrid[:size, :size]
+    radius = 0.45 * size
+    x, y = (column - (size - 1) / 2) / radius, -(row - (size - 1) / 2) / radius
+    mask = x**2 + y**2 < 1
+    z = np.sqrt(np.where(mask, 1 - x**2 - y**2, 0))
+    normals = np.stack([x, y, z], -1) * mask[..., None]
+    return normals.astype(np.float32), mask, -radius * z
+
+
+def read_depth(folder):
+    import OpenEXR
+
+    return OpenEXR.File(str(folder / "depth.exr")).channels()["Z"].pixels
+
+
+@pytest.fixture
+def files(tmp_path):
+    normals, mask, _ = hemisphere()
+    np.save(tmp_path / "normals.npy", normals)
+    cv2.imwrite(str(tmp_path / "map.png"), encode_normals(normals)[..., ::-1])
+    down = encode_normals(normals * [1, -1, 1])[..., ::-1]
+    cv2.imwrite(str(tmp_path / "directx.png"), down)
+    cv2.imwrite(str(tmp_path / "mask.png"), np.uint8(255 * mask))
+    photo = np.zeros((48, 48, 3), np.uint8)
+    photo[:24, :, 2] = 255  # red above
+    cv2.imwrite(str(tmp_path / "photo.png"), photo)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "given", [["normals.npy"], ["map.png"], ["directx.png", "--normal-map", "directx"]]
+)
+def test_depth_in_millimetres(given, files, capsys):
+    name, *options = given
+    arguments = [str(files / name), "-o", str(files / "out"), *options]
+    assert surface([*arguments, "--scale", "0.5", "--unit", "mm"]) == 0
+    _, mask, truth = hemisphere()
+    error = read_depth(files / "out")[mask] - 0.5 * truth[mask]
+    assert np.abs(error - error.mean()).max() < 0.1
+    record = json.loads((files / "out" / "surface.json").read_text())
+    assert record["unit"] == "mm" and record["islands"] == 1
+    assert record["far"] - record["near"] == pytest.approx(0.5 * 21.6, abs=1.5)
+    assert "farthest" in capsys.readouterr().out
+
+
+def test_mesh_with_the_photographs_colors(files):
+    arguments = [str(files), "-o", str(files / "out"), "--mesh", "ply"]
+    photo = ["--photograph", str(files / "photo.png"), "--mask"]
+    assert surface([*arguments, *photo, str(files / "mask.png")]) == 0
+    mesh = trimesh.load(files / "out" / "mesh.ply", process=False)
+    red = mesh.visual.vertex_colors[:, 0] == 255
+    assert np.array_equal(red, mesh.vertices[:, 1] > 0)
+
+
+def test_depth_is_a_prior_of_the_next(files):
+    first = [str(files / "normals.npy"), "-o", str(files / "one"), "--focal", "90"]
+    assert surface([*first, "--scale", "600", "--unit", "mm"]) == 0
+    one = read_depth(files / "one")
+    second = [*first[:2], str(files / "two"), *first[3:]]
+    assert surface([*second, "--prior", str(files / "one" / "depth.exr")]) == 0
+    np.testing.assert_allclose(read_depth(files / "two"), one, rtol=1e-3)
+    record = json.loads((files / "two" / "surface.json").read_text())
+    assert record["unit"] == "prior's units"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--focal", "far"], "--focal: expected pixels above 0, or exif, got far"),
+        (["--focal", "exif"], "--focal exif: expected a photograph, got none"),
+        (["--scale", "0"], "--scale: expected above 0, got 0.0"),
+        (["--mask", "small.png"], "expected the normals' size, 48 x 48, got 5 x 4"),
+        (["--prior", "mask.png"], "expected depth as an EXR with channel Z"),
+        (["--photograph", "photo.png", "--focal", "exif"], "expected EXIF data"),
+    ],
+)
+def test_bad_options_are_one_line(options, message, files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    cv2.imwrite("small.png", np.full((4, 5), 255, np.uint8))
+    assert surface(["normals.npy", "-o", "out", *options]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not (files / "out").exists()
+
+
+def test_bad_normals_are_one_line(files, capsys):
+    np.save(files / "flat.npy", np.ones((4, 5)))
+    np.save(files / "none.npy", np.zeros((4, 5, 3)))
+    for name, message in (
+        ("flat.npy", "expected normals, [H, W, 3], got (4, 5)"),
+        ("none.npy", "expected normals inside the mask, got none"),
+        ("absent.npy", "cannot be read"),
+    ):
+        assert surface([str(files / name), "-o", str(files / "out")]) == 2
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+
+
+def test_folders_of_others_are_left_alone(files, capsys):
+    assert surface([str(files / "normals.npy"), "-o", str(files)]) == 2
+    assert "got one with other files" in capsys.readouterr().err
+
+
+def test_estimate_writes_depth_and_mesh(tmp_path):
+    folder = tmp_path / "thing"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for index in range(2):
+        image = rng.integers(40, 200, (40, 44, 3), np.uint8)
+        cv2.imwrite(str(folder / f"{index}.png"), image)
+    arguments = [str(folder), "-o", str(tmp_path / "out"), "--mesh", "obj"]
+    assert estimate([*arguments, "--focal", "80"]) == 0
+    out = tmp_path / "out" / "thing"
+    record = json.loads((out / "normals.json").read_text())
+    names = {"depth.exr", "depth.png", "height.png", "mesh.obj", "normals.npy"}
+    assert names <= set(record["files"])
+    assert record["surface"]["camera"] == "perspective"
+    assert record["surface"]["focal_px"] == 80
+    depth = read_depth(out)
+    assert np.exp(np.log(depth).mean()) == pytest.approx(1, abs=1e-4)
+    assert estimate([*arguments, "--focal", "80"]) == 0  # up to date
+    # The results are no photographs, should they be read as a folder of them.
+    (out / "photo.png").write_bytes((folder / "0.png").read_bytes())
+    assert select(out).names == ("photo.png",)
+
+
+def test_focal_without_depth_is_refused(tmp_path, capsys):
+    assert estimate([str(tmp_path), "-o", str(tmp_path / "o"), "--focal", "9"]) == 2
+    assert "--focal: expected a depth to use it for" in capsys.readouterr().err
