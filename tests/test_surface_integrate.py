@@ -53,8 +53,8 @@ def deviation(depth, truth, mask=None):
 def test_hemisphere_within_a_three_hundredth_of_its_radius():
     normals, mask, truth, radius = hemisphere(512)
     found = integrate_image(normals, mask)
-    # Measured: at most 0.0003 of the radius.
-    assert deviation(found.depth, truth, mask).max() < 0.003 * radius
+    # Measured: 1e-5; statements of single pixels, as in the paper, give 0.02.
+    assert deviation(found.depth, truth, mask).max() < 1e-4 * radius
     assert found.islands == 1
     assert np.isnan(found.depth[~mask]).all()
     assert abs(np.nanmean(found.depth)) < 1e-2

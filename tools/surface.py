@@ -4,10 +4,11 @@
     python tools/surface.py --figure docs/surface-step.png
 
 Prints one JSON line. A hemisphere of `--plain-size` is integrated by plain least
-squares, once by the package's solver and once by `scipy.sparse.linalg.cg` on the same
-equations with the same tolerance, in turns: the ratio is what counts on shared
-machines. Then one of `--size`, whose normals are noisy, is integrated as `unips
-surface` does, with the memory that took.
+squares, by the package's solver and by `scipy.sparse.linalg.cg`, on the same equations
+with the same tolerance. Then one of `--size`, whose normals are noisy, is integrated as
+`unips surface` does, with the memory that took. Seconds are of processor time, of all
+threads together, so that other work on the machine counts little; the wall clock shows
+at most as many where the machine is idle.
 """
 
 import argparse
@@ -15,8 +16,9 @@ import functools
 import json
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +29,7 @@ from unips_jax.surface.equations import Edges, balance, statements, system
 from unips_jax.surface.images import integrate_image
 from unips_jax.surface.multigrid import Springs, conjugate_gradients
 
+_T = TypeVar("_T")
 _TOLERANCE = 1e-5
 _FAINT = 1e-5
 
@@ -68,9 +71,9 @@ def compare_solvers(size: int) -> dict[str, float]:
     plain_seconds, plain_steps = _plain(faint, np.asarray(force, np.float64), mask)
     return {
         "size": size,
-        "multigrid_s": seconds,
+        "multigrid_cpu_s": seconds,
         "multigrid_steps": int(steps),
-        "plain_s": plain_seconds,
+        "plain_cpu_s": plain_seconds,
         "plain_steps": plain_steps,
         "ratio": plain_seconds / seconds,
     }
@@ -85,9 +88,7 @@ def _plain(stiffness: Edges, force: np.ndarray, mask: np.ndarray) -> tuple[float
     across, below = right > 0, down > 0
     weights = np.concatenate([right[across], down[below]])
     first = np.concatenate([index[across], index[below]])
-    second = np.concatenate(
-        [index[:, 1:][across[:, :-1]], index[1:][below[:-1]]],
-    )
+    second = np.concatenate([index[:, 1:][across[:, :-1]], index[1:][below[:-1]]])
     count = int(mask.sum())
     half = scipy.sparse.coo_array((-weights, (first, second)), (count, count))
     matrix = (half + half.T).tocsr()
@@ -106,10 +107,10 @@ def _plain(stiffness: Edges, force: np.ndarray, mask: np.ndarray) -> tuple[float
     return seconds, steps
 
 
-def _timed(function):
-    start = time.perf_counter()
+def _timed(function: Callable[[], _T]) -> tuple[float, _T]:
+    start = time.process_time()
     result = function()
-    return time.perf_counter() - start, result
+    return time.process_time() - start, result
 
 
 def integrate_noisy(size: int, noise: float) -> dict[str, float]:
@@ -124,7 +125,7 @@ def integrate_noisy(size: int, noise: float) -> dict[str, float]:
     return {
         "size": size,
         "noise": noise,
-        "seconds": seconds,
+        "cpu_s": seconds,
         "rounds": found.rounds,
         "mean_error_of_radius": float(np.abs(error - error.mean()).mean() / radius),
         "peak_gb": max(before, _peak_gb()),
