@@ -363,3 +363,28 @@ def test_stacks_of_imagej_are_named(tmp_path):
     tifffile.imwrite(path, np.zeros((4, *SIZE), np.uint8), imagej=True)
     with pytest.raises(InputError, match="got a TIFF of 4 pages"):
         read_image(path)
+
+
+def test_altered_files_are_read_or_refused_in_one_line(tmp_path, capfd):
+    pixels = smooth(np.uint8)
+    seeds = [
+        cv2.imencode(suffix, pixels)[1].tobytes()
+        for suffix in (".png", ".jpg", ".webp", ".bmp", ".ppm", ".hdr")
+    ]
+    seeds += [tiff([{"pixels": pixels, "compression": name}]) for name in COMPRESSIONS]
+    seeds.append(save(tmp_path / "a.exr", smooth(np.float32)).read_bytes())
+    rng = np.random.default_rng(5)
+    refused = 0
+    for _ in range(600):
+        data = bytearray(seeds[rng.integers(len(seeds))])
+        for place in rng.integers(0, rng.choice([60, len(data)]), rng.integers(1, 5)):
+            data[place] = rng.choice([0, 1, 127, 128, 255, rng.integers(256)])
+        if rng.random() < 0.2:
+            data = data[: rng.integers(1, len(data))]
+        try:
+            decode_image(bytes(data), tmp_path / "a")
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert 100 < refused < 600
+    assert capfd.readouterr() == ("", "")

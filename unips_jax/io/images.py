@@ -280,8 +280,8 @@ def _decoded(header: Encoded, path: Path) -> tuple[np.ndarray, np.ndarray | None
 def _unreadable(path: Path, error: Exception) -> InputError:
     if isinstance(error, NotRead):
         return InputError(
-            f"{path}: expected an image that can be read, got {error}; export it as "
-            "PNG or TIFF, or remove it"
+            f"{path}: expected an image that can be read, got {error}; {error.fix}, or "
+            "remove it"
         )
     said = f" ({error})" if str(error) else ""
     return InputError(

@@ -174,8 +174,8 @@ def print_record(record: dict[str, Any]) -> None:
     """
     options, weights = record["options"], record["weights"]
     size = f"{record['width']} x {record['height']}"
-    mask = record["mask"] or "none, so the whole image"
-    print_line("mask", f"{mask}: {record['mask_pixels']} of {size} pixels")
+    mask = record["mask"] or "none"
+    print_line("mask", f"{mask}: {record['mask_pixels']} of {size} pixels are taken")
     if options["reader"] == "official":
         print_line("reader", f"official: square crop, resized to {size}, linear")
     else:

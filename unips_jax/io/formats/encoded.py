@@ -11,7 +11,16 @@ _ORIENTATION, _EXIF, _FOCAL_35MM, _COLOURS = 0x0112, 0x8769, 0xA405, 0xA001
 
 
 class NotRead(Exception):  # noqa: N818
-    """A sound file of a kind that is not read; the text names the kind."""
+    """A sound file of a kind that is not read.
+
+    Attributes:
+        fix: what to do.
+    """
+
+    def __init__(self, kind: str, fix: str = "export it as PNG or TIFF") -> None:
+        """Names the kind."""
+        super().__init__(kind)
+        self.fix = fix
 
 
 class Damaged(Exception):  # noqa: N818

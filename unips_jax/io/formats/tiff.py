@@ -122,7 +122,7 @@ def _photograph(tiff: tifffile.TiffFile) -> tifffile.TiffPage:
     if tiff.is_imagej and tiff.imagej_metadata:
         count = max(count, int(tiff.imagej_metadata.get("images", 1)))
     if count > 1:
-        raise NotRead(f"a TIFF of {count} pages, of which one must be chosen or each")
+        raise NotRead(f"a TIFF of {count} pages", "save each page as a file of its own")
     return pages[0]
 
 
