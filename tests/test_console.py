@@ -1,11 +1,15 @@
 """What the commands share."""
 
 import errno
+import importlib
 import io
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import pytest
@@ -125,3 +129,31 @@ def test_without_a_home_nothing_is_kept(monkeypatch):
     before = jax.config.jax_compilation_cache_dir
     keep_compiled()
     assert jax.config.jax_compilation_cache_dir == before
+
+
+INTERRUPTED = """
+import importlib, os, signal
+from unips_jax.cli.main import main
+def interrupted(name):
+    os.kill(os.getpid(), signal.SIGINT)
+importlib.import_module = interrupted
+main(["demo"])
+"""
+
+
+def test_an_interrupt_while_modules_are_imported_has_no_traceback():
+    ran = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True)
+    assert ran.returncode == -signal.SIGINT
+    assert ran.stderr == b""
+
+
+def test_an_interrupt_of_a_command_is_one_word(monkeypatch, capsys):
+    def interrupted(argv):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60)
+
+    module = SimpleNamespace(main=command(interrupted))
+    monkeypatch.setattr(importlib, "import_module", lambda name: module)
+    assert unips(["demo"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
