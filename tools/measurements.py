@@ -80,7 +80,7 @@ class Setting:
 
 def _validate(setting: Setting, line: str) -> Table:
     """Scores of all scenes and by group, a column per number of images."""
-    scores = [json.loads(text) for text in setting.run(f"{line} --json").splitlines()]
+    scores = [json.loads(text) for text in setting.run(line).splitlines()]
     groups = [name for name in scores[0] if "/" in name]
     names = {"mae": "UniPS", "constant": "constant normal"}
     names |= {group: group.replace("/", ": ") for group in groups}
