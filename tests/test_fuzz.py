@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from unips_jax import weights
 from unips_jax.cli import eval as evaluation
 from unips_jax.cli import main as cli
+from unips_jax.cli import surface, validate
 from unips_jax.estimation import folders, streaming
 from unips_jax.scenes import folders as scene_folders
 from unips_jax.training import loop, validation
@@ -95,7 +96,9 @@ OPTIONS = {
     "eval": "--benchmark --root --method --objects --num-images --crop-size --seed "
     "--protocol --weights --no-pictures",
     "render": "--objects --images --size --seed --sheet --engine --preset --meshes",
-    "validate": "--scenes --images --size --light --weights --json",
+    "validate": "--scenes --images --size --light --weights --json --real",
+    "surface": "--mask --photograph --focal --prior --scale --max-faces --mesh --cut "
+    "--normal-map",
     "train": "--optim.learning-rate --data.root --train.steps --mesh.fsdp "
     "--init-weights",
 }
@@ -105,6 +108,7 @@ WHOLE = {
     "demo": ["-o", "out"],
     "eval": ["--benchmark", "folder", "--root", "in", "--workdir", "out", "-m", "sh1"],
     "render": ["-o", "out"],
+    "surface": ["in/object.data/L_0.png", "-o", "out"],
     "validate": [],
     "train": ["--config", "in/object.data/config.py", "--workdir", "out"],
 }
@@ -164,6 +168,8 @@ def no_work():
             weights, "load_weights", lambda x: tiny if x == "tiny" else load(x)
         )
         patched.setattr(evaluation, "_evaluate", _reached)
+        patched.setattr(surface, "write_surface", _reached)
+        patched.setattr(validate, "_validate_real", _reached)
         patched.setattr(streaming, "estimate_photographs", _stand_in)
         patched.setattr(folders, "write_sheet", lambda file, *_, **__: None)
         patched.setattr(scene_folders, "render_folders", _reached)

@@ -127,6 +127,18 @@ def test_the_users_files_are_kept(tmp_path):
     assert names == sorted([*NAMES, "normals.json", "link", "mine"])
 
 
+def test_results_are_known_by_their_own_record(tmp_path):
+    for name in ("mesh.ply", "depth.exr"):
+        with appearing_at_once(tmp_path / "cup", record="surface.json") as place:
+            (place / name).write_text("")
+            (place / "surface.json").write_text(f'{{"files": ["{name}"]}}')
+    check_target(tmp_path / "cup", tmp_path, record="surface.json")
+    with pytest.raises(InputError, match="results .normals.json., got one with other"):
+        check_target(tmp_path / "cup", tmp_path)
+    names = sorted(p.name for p in (tmp_path / "cup").iterdir())
+    assert names == ["depth.exr", "surface.json"]
+
+
 def test_a_linked_folder_stays_linked(tmp_path):
     write(tmp_path / "real", 1)
     (tmp_path / "link").symlink_to("real")

@@ -25,7 +25,7 @@ from unips_jax.io.images import read_image_file
 from unips_jax.io.masks import read_mask
 from unips_jax.io.normals import NormalMap, flip_green, read_normals
 from unips_jax.io.record import print_line
-from unips_jax.io.results import appearing_at_once
+from unips_jax.io.results import appearing_at_once, check_target
 from unips_jax.surface.mesh import check_mesh_file
 from unips_jax.surface.outputs import (
     MeshFormat,
@@ -102,7 +102,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         pixels = photograph.pixels
         colors = photograph_colors(pixels, photograph.encoding.transfer)
     start_jax()
-    with appearing_at_once(options.output) as place, progress("integrating") as report:
+    with (
+        appearing_at_once(options.output, record=RECORD) as place,
+        progress("integrating") as report,
+    ):
         facts = write_surface(
             place,
             normals,
@@ -140,14 +143,7 @@ def _check(options: Options) -> None:
             raise InputError(f"--{option}: expected 0 or more, got {value}")
     if options.mesh is not None:
         check_mesh_file(Path(f"mesh.{options.mesh}"))
-    place = options.output
-    if place.exists() and not place.is_dir():
-        raise InputError(f"{place}: expected a folder, got a file; choose another -o")
-    if place.is_dir() and any(place.iterdir()) and not (place / RECORD).is_file():
-        raise InputError(
-            f"{place}: expected a new folder or one with earlier results ({RECORD}), "
-            "got one with other files; choose another -o"
-        )
+    check_target(options.output, options.normals, record=RECORD)
 
 
 def _normals(options: Options) -> np.ndarray:

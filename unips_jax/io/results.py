@@ -75,19 +75,20 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     return record if whole else None
 
 
-def check_target(target: Path, source: Path) -> None:
+def check_target(target: Path, source: Path, *, record: str = RECORD) -> None:
     """Refuses what cannot become a folder of results, before there are any.
 
     Args:
         target: folder for the results; need not exist.
         source: folder of the photographs.
+        record: name of the file by which earlier results are known.
 
     Raises:
         InputError: if the target is the source, a file, a folder with files that this
             program did not write, or where nothing may be written.
     """
     try:
-        _check_target(target, source)
+        _check_target(target, source, record)
     except OSError as error:
         raise InputError(
             f"{_shortened(target)}: cannot become a folder of results: "
@@ -111,7 +112,7 @@ def clear_leftovers(parent: Path) -> None:
 
 
 @contextlib.contextmanager
-def appearing_at_once(target: Path) -> Iterator[Path]:
+def appearing_at_once(target: Path, *, record: str = RECORD) -> Iterator[Path]:
     """Gives a temporary folder that becomes `target` when all is written.
 
     An earlier folder of results is set aside and the new one put in its place, by two
@@ -122,6 +123,7 @@ def appearing_at_once(target: Path) -> Iterator[Path]:
 
     Args:
         target: the folder of the results.
+        record: name of the JSON file whose "files" are those of earlier results.
 
     Raises:
         InputError: if the file system refuses.
@@ -135,7 +137,7 @@ def appearing_at_once(target: Path) -> Iterator[Path]:
             new.mkdir()
             yield new
             if place.is_dir():
-                _carry_over(place, new)
+                _carry_over(place, new, record)
             _switch(place, new, work)
     except OSError as error:
         reason = error.strerror or error
@@ -145,7 +147,7 @@ def appearing_at_once(target: Path) -> Iterator[Path]:
         ) from None
 
 
-def _check_target(target: Path, source: Path) -> None:
+def _check_target(target: Path, source: Path, record: str) -> None:
     place = Path(os.path.realpath(target))
     if place == Path(os.path.realpath(source)):
         raise InputError(
@@ -158,10 +160,10 @@ def _check_target(target: Path, source: Path) -> None:
             f"{target}: expected a folder for the results, got a file; choose another "
             "-o"
         )
-    if there and any(place.iterdir()) and not (place / RECORD).is_file():
+    if there and any(place.iterdir()) and not (place / record).is_file():
         raise InputError(
             f"{target}: expected a new folder or one with earlier results "
-            f"({RECORD}), got one with other files; choose another -o"
+            f"({record}), got one with other files; choose another -o"
         )
     above = next(p for p in place.parents if p.exists() or p.is_symlink())
     for needed in (above, place) if there else (above,):
@@ -196,11 +198,11 @@ def _workspace(parent: Path) -> Iterator[Path]:
             _dissolve(work)
 
 
-def _carry_over(place: Path, new: Path) -> None:
+def _carry_over(place: Path, new: Path, record: str) -> None:
     """Takes the user's files along, as further names of the same files."""
-    ours = {*_RESULTS} | {file.name for file in new.iterdir()}
+    ours = {*_RESULTS, record} | {file.name for file in new.iterdir()}
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        ours |= set(json.loads((place / RECORD).read_bytes())["files"])
+        ours |= set(json.loads((place / record).read_bytes())["files"])
 
     def left(folder: str, names: list[str]) -> set[str]:
         return ours & set(names) if Path(folder) == place else set()
