@@ -82,7 +82,9 @@ def test_tone_curves_of_profiles(curve, expected):
 @pytest.mark.parametrize("cut", [0, 20, 131, 140, 143, 150])
 def test_damaged_profiles_are_none(cut):
     assert icc_curve(profile(gamma_curve(1.8))[:cut]) is None
-    assert icc_curve(profile(b"mft2" + bytes(40))) is None
+    tables = profile(b"mft2" + bytes(40))
+    assert icc_curve(tables) is None
+    assert encoding_of(np.uint16, icc=tables).transfer == "srgb"
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

@@ -129,6 +129,30 @@ def test_what_is_black_in_all_photographs_is_left_out(
     assert capture.notes == ()
 
 
+@pytest.mark.parametrize("quality", [75, 90])
+def test_what_a_jpeg_leaves_around_an_object_is_left_out(tmp_path, quality):
+    y, x = np.mgrid[:60, :80]
+    disc = np.hypot(x - 40, y - 30) < 17
+    for i in range(3):
+        light = np.where(disc, 120 + 80 * np.sin(x / 9 + 2 * i), 0)
+        image = np.repeat(light[..., None], 3, axis=-1).astype(np.uint8)
+        stored = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        (tmp_path / f"{i}.jpg").write_bytes(stored.tobytes())
+    capture = read_capture(select(tmp_path))
+    noise = capture.images.max(axis=(0, 3)) > 2
+    assert (noise & ~disc).sum() > 100
+    assert (capture.mask & ~disc).sum() < 20 and not (disc & ~capture.mask).any()
+
+
+def test_dark_parts_of_an_object_are_kept(tmp_path):
+    disc = lit_disc(tmp_path)
+    for path in tmp_path.iterdir():
+        image = read_image(path).copy()
+        image[9:12, 15:20] = 20
+        save(path, image)
+    np.testing.assert_array_equal(read_capture(select(tmp_path)).mask, disc)
+
+
 def test_dark_grey_is_not_black(tmp_path):
     lit_disc(tmp_path, background=3)
     capture = read_capture(select(tmp_path))

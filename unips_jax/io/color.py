@@ -65,6 +65,8 @@ def encoding_of(
     curve = icc_curve(icc)
     if curve is not None:
         return _encoding(np.dtype(dtype), curve, "colour profile in the file")
+    if icc:  # by tables, as of printers and of sRGB's own fourth version
+        return Encoding("srgb", "colour profile in the file, taken as sRGB")
     if srgb:
         return Encoding("srgb", "sRGB tag in the file")
     if gamma > 0:

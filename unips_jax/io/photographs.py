@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
@@ -29,7 +30,8 @@ from unips_jax.io.images import (
 from unips_jax.io.masks import above_half, mask_of
 from unips_jax.io.selection import Selection, select
 
-_BLACK = 2  # levels of 255 that count as black, as a JPEG leaves some
+_BLACK = 2  # levels of 255 that count as black
+_NEARLY_BLACK = 32  # beside black: what a JPEG leaves around an object, 1.4% of light
 _FILES = 10  # a set may have so many times the pixels that a file may have
 
 
@@ -158,7 +160,7 @@ class _Stack:
         self.first = dataclasses.replace(first, pixels=first.pixels[:0], alpha=None)
         self.mask = mask
         self.images = np.empty((count, *mask.shape, 3), first.pixels.dtype)
-        self.lit = np.zeros(mask.shape, bool)
+        self.brightest = np.zeros(mask.shape, first.pixels.dtype)
         self.opaque = np.ones(mask.shape, bool)
         self.told = transfer is not None
         self.encoding = (
@@ -187,8 +189,7 @@ class _Stack:
             np.nan_to_num(image, copy=False, nan=0, posinf=0, neginf=0)
             np.maximum(image, 0, out=image)
         _require_light(file.path, image, self.mask)
-        black = _BLACK if image.dtype == np.uint8 else 0
-        self.lit |= image.max(axis=-1) > black
+        np.maximum(self.brightest, image.max(axis=-1), out=self.brightest)
         if file.alpha is not None and not file.alpha.all():
             self.opaque &= above_half(file.alpha)
 
@@ -202,7 +203,7 @@ class _Stack:
         where = "of the whole image (no mask)" if whole else "of the mask"
         for kept, what in (
             (self.opaque, "that are transparent in a photograph"),
-            (self.lit, "that are black in all photographs"),
+            (_lit(self.brightest), "that are black in all photographs"),
         ):
             out = int((self.mask & ~kept).sum())
             left = self.mask & kept
@@ -216,6 +217,21 @@ class _Stack:
                 notes.append(f"{out} pixels {where} {what[5:]}: left out")
             self.mask = left
         return notes
+
+
+def _lit(brightest: np.ndarray) -> np.ndarray:
+    """Where something shows: not black and, in 8 bits, not nearly so beside black.
+
+    Args:
+        brightest: `[H, W]`, the largest value over photographs and colours.
+    """
+    if brightest.dtype != np.uint8:
+        return brightest > 0
+    nearly = (brightest <= _NEARLY_BLACK).astype(np.uint8)
+    count, regions = cv2.connectedComponents(nearly, connectivity=8)
+    lit = np.ones(count, bool)
+    lit[regions[brightest <= _BLACK]] = False
+    return lit[regions]
 
 
 def _require_room(selection: Selection, shape: tuple[int, ...], limit: int) -> None:

@@ -96,6 +96,9 @@ def decode(encoded: Encoded) -> tuple[np.ndarray, np.ndarray | None]:
     except (NotRead, Damaged):
         raise
     except Exception as error:
+        if re.search("unsupported|not supported|not implemented", str(error), re.I):
+            kind = f"a {encoded.format} of a kind that its decoder does not know"
+            raise NotRead(f"{kind} ({_said(error)})") from error
         raise Damaged(_said(error)) from error
     shape = (encoded.height, encoded.width, encoded.channels)
     if pixels.shape != shape or pixels.dtype != encoded.dtype:
