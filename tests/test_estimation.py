@@ -1,6 +1,7 @@
 """The pure function: chunks, shapes, transformations, gradients, bad arguments."""
 
 import dataclasses
+import re
 
 import jax
 import jax.numpy as jnp
@@ -357,3 +358,63 @@ def test_uniform_contexts_differ(params):
 def test_bad_shapes(params, images, mask, message):
     with pytest.raises(ValueError, match=message):
         estimate_normals(params, images, mask, config=SMALL)
+
+
+def test_every_number_but_zero_is_inside_the_mask(params):
+    images, mask = photographs()
+    expected = estimate_normals(params, images, mask, config=SMALL)
+    for value in (-1, 0.3):
+        normals = estimate_normals(params, images, value * mask, config=SMALL)
+        np.testing.assert_array_equal(normals, expected)
+
+
+def test_no_valid_image_gives_no_normal(params):
+    """And no gradient that is not a number."""
+    images, mask = photographs()
+
+    @jax.jit
+    def run(images, valid):
+        def loss(images):
+            normals = estimate_normals(params, images, mask, config=SMALL, valid=valid)
+            return jnp.sum(normals), normals
+
+        return jax.grad(loss, has_aux=True)(images)
+
+    gradient, normals = run(jnp.asarray(images), jnp.zeros(3, bool))
+    assert not np.any(gradient) and not np.any(normals)
+    _, normals = run(jnp.asarray(images), jnp.array([True, False, False]))
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), mask, atol=1e-5)
+
+
+def test_a_mask_known_to_the_compiler_is_not_worked_through(params):
+    """Its folding takes longer than the rest of a large image's compilation."""
+    images, mask = photographs()
+    run = jax.jit(lambda images: estimate_normals(params, images, mask, config=SMALL))
+    program = run.lower(images).compile().as_text()
+    assert "pred[23,31]" in program
+    assert not re.search(r"s32\[713\]\S* constant\(", program)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        dataclasses.replace(SMALL, aggregation="max", communication="post"),
+        dataclasses.replace(SMALL, attention="released", context_sampling="corner"),
+        dataclasses.replace(SMALL_OURS, canonical_size=128),  # sampled by gathers
+    ],
+    ids=["paper", "released", "ours"],
+)
+def test_strict_promotion_is_enough(config):
+    """Of types and of ranks, forward and backward."""
+    shapes = jax.eval_shape(lambda: lively_weights(config))
+    images = jax.ShapeDtypeStruct((3, 9, 7, 3), jnp.float32)
+    mask, valid = (jax.ShapeDtypeStruct(shape, bool) for shape in ((9, 7), (3,)))
+
+    def loss(params, images, mask, valid):
+        normals = estimate_normals(
+            *(params, images, mask), config=config, valid=valid, uniform_contexts=True
+        )
+        return jnp.sum(normals)
+
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+        jax.eval_shape(jax.grad(loss, (0, 1)), shapes, images, mask, valid)

@@ -1,13 +1,18 @@
 """Weights files: round trip, refusals, the authors' names."""
 
+import dataclasses
+import json
+import tracemalloc
+
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
+from safetensors import safe_open
 from safetensors.numpy import save_file
 from small_networks import SMALL, lively_weights
 
 from unips_jax.errors import InputError
-from unips_jax.models.config import ModelConfig
+from unips_jax.models.config import ModelConfig, to_json
 from unips_jax.models.released import from_official, official_name
 from unips_jax.weights import (
     load_weights,
@@ -107,3 +112,90 @@ def test_official_problems_are_named_at_once():
 def test_names_with_and_without_module(prefix):
     key = f"{prefix}backbone.0.layers.2.blocks.17.mlp.fc1.weight"
     assert official_name(key) == "encoder.stages_2.block17.fc1.kernel"
+
+
+def rewritten(path, **changes):
+    """The file with other metadata."""
+    with safe_open(path, framework="np") as file:
+        metadata = file.metadata() | changes
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    save_file(arrays, path, metadata)
+    return path
+
+
+def test_equal_parameters_are_equal_bytes(tmp_path):
+    params = lively_weights()
+    turned = {half: dict(reversed(params[half].items())) for half in reversed(params)}
+    files = [tmp_path / f"{i}.safetensors" for i in range(6)]
+    for file in files:
+        order = params if file is files[0] else turned
+        record = {"b": 2, "a": 1} if file is files[0] else {"a": 1, "b": 2}
+        save_weights(file, SMALL, order, record=record)
+    assert len({file.read_bytes() for file in files}) == 1
+
+
+def test_every_flipped_bit_is_found(tmp_path):
+    path = tmp_path / "small.safetensors"
+    save_weights(path, SMALL, lively_weights(), half=True)
+    data = path.read_bytes()
+    start = 8 + int.from_bytes(data[:8], "little")
+    for place in (start, (start + len(data)) // 2, len(data) - 1):
+        damaged = bytearray(data)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"small\.safetensors: damaged"):
+            load_weights(path)
+    rewritten(path, config=to_json(dataclasses.replace(SMALL, remat=True)))
+    with pytest.raises(InputError, match=r"small\.safetensors: damaged"):
+        load_weights(path)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_parameters_that_are_not_finite_are_refused(tmp_path, value):
+    params = lively_weights()
+    kernel = params["decoder"]["prediction"]["fc2"]["kernel"]
+    params["decoder"]["prediction"]["fc2"]["kernel"] = kernel.at[0, 0].set(value)
+    save_weights(tmp_path / "bad.safetensors", SMALL, params)
+    with pytest.raises(InputError, match=r"decoder\.prediction\.fc2\.kernel: .*NaN or"):
+        load_weights(tmp_path / "bad.safetensors")
+
+
+SIZES = json.loads(to_json(SMALL))
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (json.dumps(SIZES | {"canonical_size": 10**6}), "canonical_size: expected at"),
+        (json.dumps(SIZES | {"depths": [10**7, 1]}), "depths: expected one to eight"),
+        (json.dumps(SIZES | {"depths": [100, 100]}), "parameters of 201 blocks, got"),
+        (json.dumps(SIZES | {"window_size": 10**5}), "window_size: expected at most"),
+        (json.dumps(SIZES | {"mlp_ratio": 1e300}), "mlp_ratio: expected at most"),
+        (json.dumps(SIZES | {"embed_dim": None}), "embed_dim: expected int"),
+        (json.dumps(SIZES | {"\n" * 10**6: 1}), "unknown fields"),
+        ("[]", "expected a JSON object"),
+        ("[" * 10**6, "too deep a nest"),
+        ("{", "ModelConfig as JSON"),
+        (json.dumps({"canonical_size": 96}), "expected a network.*another version"),
+    ],
+)
+def test_hostile_metadata_takes_one_line_and_no_memory(tmp_path, config, message):
+    path = tmp_path / "hostile.safetensors"
+    save_weights(path, SMALL, lively_weights())
+    rewritten(path, config=config)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=message) as raised:
+        load_weights(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 5e7
+    assert "\n" not in str(raised.value)
+    assert len(str(raised.value)) < 2000
+
+
+@pytest.mark.parametrize("record", ["[", "[]", "[" * 10**6, "3"])
+def test_hostile_records_take_one_line(tmp_path, record):
+    path = tmp_path / "hostile.safetensors"
+    save_weights(path, SMALL, lively_weights())
+    with pytest.raises(InputError, match="expected a JSON object"):
+        weights_record(rewritten(path, record=record))

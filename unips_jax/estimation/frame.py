@@ -44,7 +44,7 @@ def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:
         ValueError: if `kind` is neither.
     """
     require_choice("frame", kind, get_args(FrameKind))
-    mask = jnp.asarray(mask) > 0
+    mask = jnp.asarray(mask).astype(bool)
     inside = mask if kind == "mask" else jnp.ones_like(mask)
     inside = inside | ~jnp.any(inside)
     starts, sizes = [], []
@@ -75,10 +75,10 @@ def context_cells(
         Rows and columns in cells, `[P]` each; 0 is the centre of the first cell.
     """
     offset = 0.0 if config.reads_at_corners else 0.5
-    scale = config.context_size / frame.side
+    scale = config.context_size / frame.side.astype(float)
     return (
-        (rows - frame.top + offset) * scale - 0.5,
-        (columns - frame.left + offset) * scale - 0.5,
+        ((rows - frame.top).astype(float) + offset) * scale - 0.5,
+        ((columns - frame.left).astype(float) + offset) * scale - 0.5,
     )
 
 
@@ -92,10 +92,10 @@ def normalize_images(images: Array, mask: Array) -> Array:
     Returns:
         `[N, H, W, 3]`; an all-black image stays black.
     """
-    inside = (mask > 0)[..., None]
-    images = jnp.where(inside, images, 0)
+    inside = mask.astype(bool)[..., None]
+    images = jnp.where(inside[None], images, 0)
     count = jnp.maximum(jnp.sum(inside) * images.shape[-1], 1)
-    mean = jnp.sum(images, axis=(1, 2, 3), keepdims=True) / count
+    mean = jnp.sum(images, axis=(1, 2, 3), keepdims=True) / count.astype(images.dtype)
     return images / jnp.where(mean > 0, mean, 1)
 
 
@@ -133,7 +133,7 @@ def canonical_images(
     inside = (inside > 0).astype(dtype)[None, :, :, None]
     if antialias:
         covered = jnp.einsum("ih,hw,jw->ij", rows, mask.astype(dtype), columns)
-        resized /= jnp.where(covered > 0, covered, 1)[..., None]
+        resized /= jnp.where(covered > 0, covered, 1)[None, ..., None]
     return jnp.concatenate(
         [resized * inside, jnp.broadcast_to(inside, (*resized.shape[:-1], 1))], axis=-1
     )
@@ -160,9 +160,10 @@ def resize_weights(
     Returns:
         `[size, length]`; rows sum to 1 where nothing of their reach is cut off.
     """
-    scale = side.astype(dtype) / size
+    start, side = jnp.asarray(start, dtype), jnp.asarray(side, dtype)
+    scale = side / size
     places = (jnp.arange(size, dtype=dtype) + 0.5) * scale - 0.5
     places = start + jnp.clip(places, 0, side - 1)
-    distance = jnp.abs(places[:, None] - jnp.arange(length, dtype=dtype))
+    distance = jnp.abs(places[:, None] - jnp.arange(length, dtype=dtype)[None])
     reach = jnp.maximum(scale, 1) if antialias else 1
     return jnp.maximum(1 - distance / reach, 0) / reach

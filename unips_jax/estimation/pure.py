@@ -69,6 +69,7 @@ def encode(
     if uniform_contexts:
         _, height, width, _ = contexts.shape
         inside = ops.resize_mask_nearest(images[..., 3], (height, width))[..., None]
+        inside = inside.astype(contexts.dtype)
         total = jnp.sum(contexts * inside, axis=(1, 2), keepdims=True)
         mean = total / jnp.maximum(jnp.sum(inside, axis=(1, 2), keepdims=True), 1)
         contexts = jnp.broadcast_to(mean, contexts.shape)
@@ -113,7 +114,8 @@ def decode(
         normals: Any = network.apply(
             {"params": params}, pixels, read, valid, method="decode"
         )
-        return jnp.where(mirrored, normals * jnp.array([-1, 1, 1]), normals)
+        signs = jnp.array([[-1, 1, 1]], normals.dtype)
+        return jnp.where(mirrored, normals * signs, normals)
 
     mirrored = jnp.arange(len(contexts)) == 1
     normals = map_views(decode_view, (contexts, frame, mirrored))
@@ -152,6 +154,7 @@ def estimate_normals(
         mask: `[H, W]`, non-zero on the object; None: the whole image.
         config: the network's configuration.
         valid: `[N]`, bool: images that count, so that sets can be padded; None: all.
+            Where none counts, normals are zero.
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
         uniform_contexts: an ablation, see `encode`.
 
@@ -183,8 +186,8 @@ def estimate_normals(
         )
     return _estimate_normals(
         params,
-        images.astype(jnp.promote_types(images.dtype, jnp.float32)),
-        mask > 0,
+        images.astype(ops.wide_dtype(images.dtype)),
+        mask.astype(bool),
         None if valid is None else jnp.asarray(valid, bool),
         config=config,
         frame_kind=frame,
@@ -206,6 +209,12 @@ def _estimate_normals(
     uniform_contexts: bool,
 ) -> Array:
     n, height, width, _ = images.shape
+    # A mask that an outer `jit` knows would be worked through by its compiler.
+    mask = jax.lax.optimization_barrier(mask)
+    some: Array | bool = True
+    if valid is not None:  # without any image, all are taken, and nothing is given
+        some = jnp.any(valid)
+        valid = valid | ~some
     images = normalize_images(images, mask)
 
     def view_of(images: Array, mask: Array) -> tuple[Array, Frame]:
@@ -249,10 +258,11 @@ def _estimate_normals(
         result = jax.eval_shape(run, part)
         # Zeros that vary over the devices of a `shard_map` as the result does.
         empty = jnp.zeros(result.shape, result.dtype)
-        empty = jnp.where(False, contexts.reshape(-1)[0], empty)
+        empty = jnp.where(False, contexts.reshape(-1)[0].astype(empty.dtype), empty)
         return jax.lax.cond(part[1][0] < count, run, lambda _: empty, part)
 
     decoded = map_chunks(decode_chunk, (pixels, index), max(1, CHUNK_TOKENS // n))
     normals = jnp.zeros((count, 3), decoded.dtype)
     normals = normals.at[index].set(decoded, mode="drop")
+    normals = jnp.where(some, normals, 0)
     return normals.reshape(height, width, 3)

@@ -60,7 +60,9 @@ class Consensus(nn.Module):
         place = ops.sinusoids(height, width).astype(self.dtype)
         place = place.reshape(height * width, -1)
         shape = dense(self.features, self.dtype, "pooled")(_pool(normed, valid))
-        shape = shape + dense(self.features, self.dtype, "place")(place)  # [B, T, F]
+        shape = shape + dense(self.features, self.dtype, "place")(
+            place[None]
+        )  # [B, T, F]
         for i in range(self.blocks // 2):
             shape = self._block(f"block{i}")(shape, None, True)
 
@@ -113,7 +115,7 @@ class Consensus(nn.Module):
 
 def _pool(x: Array, valid: Array | None) -> Array:
     """Mean and maximum over the images: `[B, N, T, C]` to `[B, T, 2 C]`."""
-    where = None if valid is None else valid[:, None, None]
+    where = None if valid is None else valid[None, :, None, None]
     mean = jnp.mean(x, axis=1, where=where)
     counted = x if where is None else jnp.where(where, x, -jnp.inf)
     return jnp.concatenate([mean, ops.largest(counted, axis=1)], axis=-1)

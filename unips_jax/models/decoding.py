@@ -66,7 +66,7 @@ class Aggregation(nn.Module):
             )(sets, valid, deterministic)  # [..., N, hidden_dim]
         if self.pooling == "max":
             if valid is not None:
-                sets = jnp.where(valid[:, None], sets, -jnp.inf)
+                sets = jnp.where(ops.leading(valid[:, None], sets.ndim), sets, -jnp.inf)
             return ops.largest(sets, axis=-2)
         pooled = PMA(
             features=config.hidden_dim,

@@ -9,9 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.custom_derivatives import SymbolicZero
+from jax.typing import DTypeLike
 
 # Up to this many cells a grid is sampled by a product with dense weights.
 _SMALL_GRID = 576
+
+
+def wide_dtype(dtype: DTypeLike) -> np.dtype:
+    """The type for softmax, norms and sums: float32, or float64 if that is given."""
+    return np.dtype(np.float64 if jnp.dtype(dtype) == np.float64 else np.float32)
+
+
+def leading(x: Array, ndim: int) -> Array:
+    """Adds axes of length 1 before the others, up to `ndim`, to broadcast by."""
+    return x.reshape((1,) * (ndim - x.ndim) + x.shape)
 
 
 def resize_bilinear(x: Array, size: Sequence[int]) -> Array:
@@ -161,8 +172,10 @@ def bilinear_sample(grid: Array, rows: Array, columns: Array, *, zeros: bool) ->
         columns = jnp.clip(columns, 0, w - 1)
     if h * w <= _SMALL_GRID:
         # As a product with the weights: a gather's gradient is a slow scatter.
-        row_weights = jnp.maximum(1 - abs(rows[:, None] - jnp.arange(h)), 0)
-        column_weights = jnp.maximum(1 - abs(columns[:, None] - jnp.arange(w)), 0)
+        cell_rows = jnp.arange(h, dtype=rows.dtype)[None]
+        cell_columns = jnp.arange(w, dtype=columns.dtype)[None]
+        row_weights = jnp.maximum(1 - abs(rows[:, None] - cell_rows), 0)
+        column_weights = jnp.maximum(1 - abs(columns[:, None] - cell_columns), 0)
         weights = row_weights[:, :, None] * column_weights[:, None, :]
         weights = weights.reshape(-1, h * w).astype(grid.dtype)
         return jnp.einsum("pg,...gc->...pc", weights, flat)
@@ -176,7 +189,7 @@ def bilinear_sample(grid: Array, rows: Array, columns: Array, *, zeros: bool) ->
             index = jnp.clip(y, 0, h - 1) * w + jnp.clip(x, 0, w - 1)
             corner = jnp.take(flat, index.astype(jnp.int32), axis=-2)
             weight = jnp.where(inside, weight, 0).astype(grid.dtype)
-            total = total + corner * weight[:, None]
+            total = total + corner * leading(weight[:, None], corner.ndim)
     return total
 
 
@@ -256,7 +269,7 @@ def normalize(x: Array) -> Array:
         `[..., 3]`, unit vectors; zero where `x` is shorter than 1e-12, NaN where its
         squared length is not finite.
     """
-    x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
+    x = x.astype(wide_dtype(x.dtype))
     squared = jnp.sum(jnp.square(x), axis=-1, keepdims=True)
     zero = squared <= 1e-12**2  # false for NaN
     unit = jnp.where(zero, 0.0, x * jax.lax.rsqrt(jnp.where(zero, 1.0, squared)))
@@ -279,7 +292,7 @@ def largest(x: Array, axis: int) -> Array:
     compiler computes those anew, a digit apart, there is none, and it becomes NaN.
     """
     indices = jax.lax.broadcasted_iota(jnp.int32, x.shape, axis % x.ndim)
-    first = jnp.argmax(x, axis=axis, keepdims=True)
+    first = jnp.argmax(x, axis=axis, keepdims=True).astype(jnp.int32)
     return jnp.sum(jnp.where(indices == first, x, 0), axis=axis)
 
 
@@ -297,8 +310,8 @@ def sinusoids(height: int, width: int) -> Array:
     """
 
     def waves(size: int) -> Array:
-        centres = (jnp.arange(size) + 0.5) / size
-        phases = jnp.pi * centres[:, None] * 2.0 ** jnp.arange(4)
+        centres = (jnp.arange(size, dtype=jnp.float32) + 0.5) / size
+        phases = jnp.pi * centres[:, None] * np.array([[1, 2, 4, 8]], np.float32)
         return jnp.concatenate([jnp.sin(phases), jnp.cos(phases)], axis=-1)
 
     rows = jnp.broadcast_to(waves(height)[:, None], (height, width, 8))

@@ -54,7 +54,9 @@ def image_ratios(images: Array, valid: Array | None = None) -> Array:
     """
     inside = images[..., 3:]
     light = jnp.maximum(jnp.mean(images[..., :3], axis=-1, keepdims=True), 0)
-    where = None if valid is None else valid[:, None, None, None]
+    where = None
+    if valid is not None:
+        where = ops.leading(valid[:, None, None, None], light.ndim)
     mean = jnp.mean(light, axis=-4, keepdims=True, where=where)
     mean = jnp.broadcast_to(mean, light.shape)
     logarithm = jnp.log(mean + _DARK)
@@ -149,7 +151,7 @@ class Observation(nn.Module):
             As `contexts`.
         """
         light = jnp.maximum(pixels.astype(jnp.float32), 0)
-        where = None if valid is None else valid[:, None]
+        where = None if valid is None else ops.leading(valid[:, None], light.ndim)
         mean = jnp.mean(light, axis=-2, keepdims=True, where=where)
         values = [light, light / (mean + _DARK), jnp.log(light + _DARK)]
         x = jnp.concatenate(values, axis=-1).astype(self.dtype)

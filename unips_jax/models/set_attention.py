@@ -57,11 +57,6 @@ def layer_norm(dtype: DTypeLike, name: str | None = None) -> nn.LayerNorm:
     return nn.LayerNorm(epsilon=1e-5, dtype=dtype, name=name)
 
 
-def softmax_dtype(dtype: DTypeLike) -> jnp.dtype:
-    """The type attention weights are computed in: float32, or wider if asked."""
-    return jnp.promote_types(dtype, jnp.float32)
-
-
 def dot_product_attention(
     q: Array,
     k: Array,
@@ -94,9 +89,10 @@ def dot_product_attention(
         return jnp.swapaxes(x, -2, -3)  # [..., heads, N, D]
 
     q, k, v = split(q), split(k), split(v)
-    wide = softmax_dtype(q.dtype)
+    wide = ops.wide_dtype(q.dtype)
     logits = jnp.matmul(q, jnp.swapaxes(k, -1, -2), preferred_element_type=wide)
-    logits = logits * scale + bias
+    bias = jnp.asarray(bias, wide)
+    logits = logits * scale + ops.leading(bias, logits.ndim)
     if k.shape[-2] <= k.shape[-1]:
         weights = dropout(jax.nn.softmax(logits, axis=-1))
         attended = jnp.matmul(weights.astype(v.dtype), v)
@@ -270,9 +266,9 @@ class PMA(nn.Module):
         q = dense(self.features, self.dtype, "query")(queries)  # [seeds, features]
         attended = self._attend(q, y, valid, deterministic)
         if pre_norm:
-            x = seeds + dense(self.features, self.dtype, "out")(attended)
-        else:
-            x = q + attended
+            attended = dense(self.features, self.dtype, "out")(attended)
+        residual = seeds if pre_norm else q
+        x = ops.leading(residual, attended.ndim) + attended
         mlp = SetMLP(self.mlp_dim, pre_norm, self.dropout_rate, self.dtype, name="mlp")
         return mlp(x, deterministic)
 
@@ -292,9 +288,10 @@ class PMA(nn.Module):
         width = head_dim if self.attention == "pre_norm" else self.features
         folded = jnp.einsum("shd,chd->csh", q.reshape(-1, heads, head_dim), key_kernel)
         logits = jnp.tensordot(y, folded * width**-0.5, 1)  # [..., N, seeds, heads]
-        logits = logits.astype(softmax_dtype(logits.dtype))
+        logits = logits.astype(ops.wide_dtype(logits.dtype))
         if valid is not None:
-            logits = jnp.where(valid[:, None, None], logits, -jnp.inf)
+            members = ops.leading(valid[:, None, None], logits.ndim)
+            logits = jnp.where(members, logits, -jnp.inf)
         weights = jax.nn.softmax(logits, axis=-3)
         weights = Dropout(self.dropout_rate)(weights, deterministic).astype(y.dtype)
 
@@ -304,5 +301,8 @@ class PMA(nn.Module):
         mixed = mixed.reshape(*mixed.shape[:-2], -1, heads, c)
         attended = jnp.einsum("...shc,chd->...shd", mixed, value_kernel)
         total = jnp.sum(weights, axis=-3)[..., None]  # 1 without dropout
-        attended = attended + total * value_bias.reshape(heads, head_dim)
+        wide = ops.wide_dtype(self.dtype)
+        bias = value_bias.astype(wide).reshape(heads, head_dim)
+        bias = total.astype(wide) * ops.leading(bias, total.ndim)
+        attended = attended.astype(wide) + bias
         return attended.reshape(*attended.shape[:-2], self.features).astype(y.dtype)
