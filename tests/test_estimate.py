@@ -217,6 +217,18 @@ def test_a_crash_in_a_batch_is_one_line_too(folder, tmp_path, calls, monkeypatch
     assert not out.exists()
 
 
+def test_normals_that_are_not_finite_are_not_written(
+    folder, tmp_path, calls, monkeypatch, capsys
+):
+    def broken(params, images, mask, **options):
+        return np.where(mask[..., None], np.nan, 0) * np.ones(3, np.float32)
+
+    monkeypatch.setattr(streaming, "estimate_photographs", broken)
+    assert run(folder, "-o", tmp_path / "out") == 2
+    assert "not finite at" in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="names are Unicode elsewhere")
 def test_names_that_are_not_unicode(folder, tmp_path, network_calls):
     other = tmp_path / os.fsdecode(b"K\xf6nig")

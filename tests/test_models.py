@@ -15,7 +15,7 @@ from small_networks import lively
 from unips_jax.models.config import ModelConfig, from_json, to_json
 from unips_jax.models.network import Network, init_params
 from unips_jax.models.self_calibrating import Observation, image_ratios
-from unips_jax.models.set_attention import PMA, dot_product_attention
+from unips_jax.models.set_attention import PMA, SAB, dot_product_attention
 
 LARGER = dict(
     canonical_size=20,
@@ -129,6 +129,27 @@ def test_pooling_equals_the_plain_block(attention):
     hidden = jax.nn.gelu(linear(hidden, params["mlp"]["fc1"]), approximate=False)
     expected = x + linear(hidden, params["mlp"]["fc2"])
     np.testing.assert_allclose(actual, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_attention_of_a_large_set_in_pieces_is_that_of_the_whole():
+    """And so is its gradient."""
+    x = jax.random.normal(jax.random.key(1), (2, 11, 12))
+    valid = jnp.arange(11) != 4
+    whole = SAB(12, 3, 7, "pre_norm")
+    params = lively(whole.init, x, valid, True)
+    pieces = SAB(12, 3, 7, "pre_norm", query_chunk=4)
+
+    def run(module):
+        def loss(x):
+            y = module.apply(params, x, valid, True)
+            return jnp.sum(y[..., 0] ** 2), y
+
+        return jax.jit(jax.grad(loss, has_aux=True))(x)
+
+    for a, b in zip(run(pieces), run(whole), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
+    jaxpr = str(jax.make_jaxpr(lambda x: pieces.apply(params, x, valid, True))(x))
+    assert "f32[2,3,4,11]" in jaxpr and "f32[2,3,11,11]" not in jaxpr
 
 
 @pytest.mark.parametrize("members", [5, 20])  # fewer and more than a head's channels

@@ -277,7 +277,7 @@ def estimate_selection(
         verbose: see `estimate_folder`.
 
     Raises:
-        InputError: if a file cannot be read or used.
+        InputError: if a file cannot be read or used, or a normal is not finite.
     """
     from unips_jax.estimation.streaming import estimate_photographs
 
@@ -310,6 +310,13 @@ def estimate_selection(
             normals = estimate(progress=report)
     else:
         normals = estimate()
+    bad = np.count_nonzero(~np.isfinite(normals).all(axis=-1))
+    if bad:
+        raise InputError(
+            f"{selection.folder}: expected normals, got values that are not finite at "
+            f"{bad} of {np.count_nonzero(mask)} pixels; nothing was written. Look for "
+            "extreme values in the photographs, or try other weights"
+        )
     return Estimate(images, mask, transfer, normals, record, focal)
 
 

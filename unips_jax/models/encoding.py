@@ -14,6 +14,9 @@ from jax import Array
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.set_attention import SAB, AttentionKind
 
+# Images of a large set that attend to it at a time.
+_QUERY_CHUNK = 128
+
 # Calls a module, `module(xs, *rest)`, on the leading axis of `xs`, whole or in pieces.
 Pieces = Callable[..., Any]
 
@@ -61,6 +64,7 @@ def communications(
             attention=attention,
             use_layer_norm=False,
             dropout_rate=config.dropout_rate,
+            query_chunk=_QUERY_CHUNK,
             dtype=jnp.dtype(config.dtype),
         )
         for dim in dims

@@ -149,6 +149,8 @@ class SAB(nn.Module):
         attention: "pre_norm" or "released".
         use_layer_norm: for "released" only; "pre_norm" always normalises.
         dropout_rate: on the attention weights, in the MLP and on its branch.
+        query_chunk: of more than twice as many members, so many attend at a time, so
+            that the weights stay in cache; not with dropout. None: all at once.
         dtype: compute type.
     """
 
@@ -158,6 +160,7 @@ class SAB(nn.Module):
     attention: AttentionKind
     use_layer_norm: bool = True
     dropout_rate: float = 0.0
+    query_chunk: int | None = None
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
@@ -182,15 +185,23 @@ class SAB(nn.Module):
 
         dropout = Dropout(self.dropout_rate)
         width = self.features // self.num_heads if pre_norm else self.features
-        attended = dot_product_attention(
-            q,
-            k,
-            v,
-            num_heads=self.num_heads,
-            scale=width**-0.5,
-            bias=members_bias(valid),
-            dropout=lambda weights: dropout(weights, deterministic),
-        )
+
+        def attend(q: Array) -> Array:
+            return dot_product_attention(
+                q,
+                k,
+                v,
+                num_heads=self.num_heads,
+                scale=width**-0.5,
+                bias=members_bias(valid),
+                dropout=lambda weights: dropout(weights, deterministic),
+            )
+
+        chunk = self.query_chunk
+        if chunk and deterministic and q.shape[-2] > 2 * chunk:
+            attended = _by_queries(attend, q, chunk)
+        else:
+            attended = attend(q)
         if pre_norm:
             attended = dense(self.features, self.dtype, "out")(attended)
             if x.shape[-1] != self.features:
@@ -202,6 +213,16 @@ class SAB(nn.Module):
             self.mlp_dim, layer_norms, self.dropout_rate, self.dtype, name="mlp"
         )
         return mlp(x, deterministic)
+
+
+def _by_queries(attend: Callable[[Array], Array], q: Array, size: int) -> Array:
+    """Attention of queries `[..., Q, C]`, `size` of them at a time."""
+    count = q.shape[-2]
+    chunks = -(-count // size)
+    q = jnp.pad(q, [(0, 0)] * (q.ndim - 2) + [(0, chunks * size - count), (0, 0)])
+    parts = q.reshape(*q.shape[:-2], chunks, size, q.shape[-1])
+    done = jax.lax.map(jax.checkpoint(attend), jnp.moveaxis(parts, -3, 0))
+    return jnp.moveaxis(done, 0, -3).reshape(q.shape)[..., :count, :]
 
 
 class _Linear(nn.Module):
