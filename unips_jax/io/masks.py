@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import ImageFile, read_image_file, require_finite
 
+_BLACK = 2  # levels of 255 that count as black
+_NEARLY_BLACK = 32  # beside black: what a JPEG leaves around an object, 1.4% of light
 _LEVELS_SHARE = 0.9
 _LEVEL = 1 / 16
 
@@ -77,6 +80,21 @@ def mask_box(mask: np.ndarray, margin: int = 0) -> tuple[slice, slice]:
         first, last = int(inside[0]) - margin, int(inside[-1]) + 1 + margin
         box.append(slice(max(first, 0), min(last, mask.shape[1 - axis])))
     return box[0], box[1]
+
+
+def lit_pixels(brightest: np.ndarray) -> np.ndarray:
+    """Where photographs show something: not black, in 8 bits nor nearly so beside it.
+
+    Args:
+        brightest: `[H, W]`, the largest value over photographs and colours.
+    """
+    if brightest.dtype != np.uint8:
+        return brightest > 0
+    nearly = (brightest <= _NEARLY_BLACK).astype(np.uint8)
+    count, regions = cv2.connectedComponents(nearly, connectivity=8)
+    lit = np.ones(count, bool)
+    lit[regions[brightest <= _BLACK]] = False
+    return lit[regions]
 
 
 def _has_two_levels(values: np.ndarray) -> bool:

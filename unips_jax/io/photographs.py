@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
@@ -27,11 +26,9 @@ from unips_jax.io.images import (
     read_image_file,
     require_finite,
 )
-from unips_jax.io.masks import above_half, mask_of
+from unips_jax.io.masks import above_half, lit_pixels, mask_of
 from unips_jax.io.selection import Selection, select
 
-_BLACK = 2  # levels of 255 that count as black
-_NEARLY_BLACK = 32  # beside black: what a JPEG leaves around an object, 1.4% of light
 _FILES = 10  # a set may have so many times the pixels that a file may have
 
 
@@ -203,7 +200,7 @@ class _Stack:
         where = "of the whole image (no mask)" if whole else "of the mask"
         for kept, what in (
             (self.opaque, "that are transparent in a photograph"),
-            (_lit(self.brightest), "that are black in all photographs"),
+            (lit_pixels(self.brightest), "that are black in all photographs"),
         ):
             out = int((self.mask & ~kept).sum())
             left = self.mask & kept
@@ -217,21 +214,6 @@ class _Stack:
                 notes.append(f"{out} pixels {where} {what[5:]}: left out")
             self.mask = left
         return notes
-
-
-def _lit(brightest: np.ndarray) -> np.ndarray:
-    """Where something shows: not black and, in 8 bits, not nearly so beside black.
-
-    Args:
-        brightest: `[H, W]`, the largest value over photographs and colours.
-    """
-    if brightest.dtype != np.uint8:
-        return brightest > 0
-    nearly = (brightest <= _NEARLY_BLACK).astype(np.uint8)
-    count, regions = cv2.connectedComponents(nearly, connectivity=8)
-    lit = np.ones(count, bool)
-    lit[regions[brightest <= _BLACK]] = False
-    return lit[regions]
 
 
 def _require_room(selection: Selection, shape: tuple[int, ...], limit: int) -> None:
