@@ -167,6 +167,7 @@ def bilinear_sample(grid: Array, rows: Array, columns: Array, *, zeros: bool) ->
     """
     h, w, c = grid.shape[-3:]
     flat = grid.reshape(*grid.shape[:-3], h * w, c)
+    rows, columns = jnp.asarray(rows), jnp.asarray(columns)
     if not zeros:
         rows = jnp.clip(rows, 0, h - 1)
         columns = jnp.clip(columns, 0, w - 1)
