@@ -17,11 +17,11 @@ import tyro
 from unips_jax.console import command, parse, reason_of, start_jax
 from unips_jax.errors import InputError
 from unips_jax.estimation.folders import (
-    FolderOptions,
     estimate_folder,
     load_network,
     random_network,
 )
+from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.results import check_target, clear_leftovers
 from unips_jax.io.selection import folder_name
 

@@ -1,0 +1,98 @@
+"""What `estimate_folder` may be told."""
+
+import dataclasses
+from pathlib import Path
+from typing import Literal
+
+from unips_jax.errors import InputError
+from unips_jax.io.images import MAX_PIXELS
+from unips_jax.io.normals import NormalMap
+from unips_jax.surface.mesh import check_mesh_file
+from unips_jax.surface.outputs import MeshFormat, focal_of
+
+
+@dataclasses.dataclass(frozen=True)
+class FolderOptions:
+    """How photographs are read, and what is written.
+
+    Attributes:
+        mask: an image that is bright on the object, in place of the folder's mask.
+        include: patterns such as "img_*.png": the images they fit are the photographs,
+            whatever they are called.
+        exclude: patterns of files to leave out.
+        max_pixels: refuse larger images; all photographs of a folder together may have
+            ten times as many.
+        max_images: use so many of the photographs, drawn with the seed.
+        seed: of that draw.
+        transfer: how the photographs encode light (auto: by their colour tags; without
+            any, 8 bit is srgb and the rest linear).
+        reader: official: the authors' square crop and resize, and all files linear;
+            the results have that size.
+        size: side in pixels that the official reader resizes to; 512 if not given.
+        exr: also write normals.exr.
+        mat: also write normals.mat, for MATLAB, key Normal_est.
+        normal_map: green of PNG and EXR is up (opengl) or down (directx).
+        depth: also write depth.exr, depth.png and height.png; see `unips surface`.
+        mesh: also write a mesh, and the depth.
+        focal: focal length of the depth's camera in pixels, or exif, of the first
+            photograph; without it the camera is orthographic.
+    """
+
+    mask: Path | None = None
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    max_pixels: int = MAX_PIXELS
+    max_images: int | None = None
+    seed: int = 0
+    transfer: Literal["auto", "linear", "srgb"] = "auto"
+    reader: Literal["plain", "official"] = "plain"
+    size: int | None = None
+    exr: bool = False
+    mat: bool = False
+    normal_map: NormalMap = "opengl"
+    depth: bool = False
+    mesh: MeshFormat | None = None
+    focal: str | None = None
+
+    def check(self) -> None:
+        """Checks what the types do not.
+
+        Raises:
+            InputError: naming the option.
+        """
+        for name, least in (
+            *(("max_images", 1), ("max_pixels", 1)),
+            *(("seed", 0), ("size", 1)),
+        ):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                option = name.replace("_", "-")
+                raise InputError(f"--{option}: expected {least} or more, got {value}")
+        if self.reader == "official" and self.transfer == "srgb":
+            raise InputError(
+                "--transfer srgb: the authors' reader takes every file as linear; "
+                "leave out --reader official"
+            )
+        if self.reader != "official" and self.size is not None:
+            raise InputError(
+                f"--size {self.size}: results have the photographs' size; leave it "
+                "out, or add --reader official"
+            )
+        self._check_surface()
+
+    def _check_surface(self) -> None:
+        if self.mesh is not None:
+            check_mesh_file(Path(f"mesh.{self.mesh}"))
+        if self.focal is None:
+            return
+        if not (self.depth or self.mesh):
+            raise InputError(
+                "--focal: expected a depth to use it for, got none; add --depth"
+            )
+        if self.reader == "official":
+            raise InputError(
+                "--focal: the authors' reader resizes the photographs; leave out "
+                "--reader official"
+            )
+        if self.focal != "exif":
+            focal_of(self.focal, None, None)
