@@ -23,7 +23,7 @@ def photograph(number, *, mirror=1.0, tint=(1.0, 1.0, 1.0)):
 
 def test_environments_have_the_same_flux():
     tables = load_tables()
-    assert tables.radiance.shape == (18, len(BLURS), *TABLE_SIZE, 3)
+    assert tables.radiance.shape == (16, len(BLURS), *TABLE_SIZE, 3)
     assert tables.radiance.min() >= 0
     _, solid = directions_of(*TABLE_SIZE)
     assert solid.sum() == pytest.approx(4 * np.pi, rel=1e-3)

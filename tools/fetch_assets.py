@@ -5,7 +5,9 @@
 Needs `npm`. Writes `assets/environments/*.exr`, 18 photographed environments of 512 x
 256 pixels by Poly Haven (CC0-1.0), and `assets/LICENSES.md`. With `--tables`, also the
 file that `unips_jax.scenes.environments` reads: each environment blurred to five
-degrees, its sun apart. An archive whose hash is not the one below is refused.
+degrees, its sun apart, but for the two that Blender also has: the sets that the network
+is judged by are rendered in those. An archive whose hash is not the one below is
+refused.
 """
 
 import argparse
@@ -29,6 +31,8 @@ from unips_jax.scenes.environments import BLURS, FLUX, TABLE_SIZE, directions_of
 
 _SUN_RADIUS, _RING = np.deg2rad(3.0), np.deg2rad(8.0)
 _LEAST_SUN = 0.08  # of an environment's light
+# Blender's `sunrise.exr` is the same photograph, its `studio.exr` the same room.
+_KEPT_APART = ("studio", "sunrise")
 _PREFIX = b"export default 'data:application/exr;base64,"
 
 
@@ -160,6 +164,7 @@ def tables_of(pictures: np.ndarray) -> dict[str, np.ndarray]:
     All are brought to the same flux, their sun included.
     """
     _, solid = directions_of(*pictures.shape[1:3])
+    pictures = np.maximum(pictures, 0)  # resampling left some below
     flux = np.sum(pictures.mean(-1) * solid, (1, 2))
     pictures = pictures * (FLUX / flux)[:, None, None, None]
     rest, directions, colors = zip(*map(split_sun, pictures), strict=True)
@@ -184,11 +189,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     for name, data in environments_of(fetch(ENVIRONMENTS)).items():
         path = arguments.folder / "environments" / f"{name}.exr"
         write_whole(path, data)
-        pictures.append(read_image(path).astype(np.float32)[..., :3])
+        if name not in _KEPT_APART:
+            pictures.append(read_image(path).astype(np.float32)[..., :3])
     line = f"- `environments/`: {ENVIRONMENTS.about}, {ENVIRONMENTS.license}, from "
     text = f"# Licences\n\n{line}`{ENVIRONMENTS.name}`\n"
     write_whole(arguments.folder / "LICENSES.md", text.encode())
-    print(f"wrote {len(pictures)} environments to {arguments.folder}")
+    print(f"wrote environments to {arguments.folder}, {len(pictures)} to train on")
     if arguments.tables:
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **tables_of(np.stack(pictures)))  # type: ignore[arg-type]

@@ -1,6 +1,6 @@
 """Photographed environments, as tables of their radiance blurred to five degrees.
 
-`tools/fetch_assets.py` makes the file from 18 environments by Poly Haven (CC0-1.0); it
+`tools/fetch_assets.py` makes the file from 16 environments by Poly Haven (CC0-1.0); it
 ships, so that a seed means the same scene everywhere.
 """
 
