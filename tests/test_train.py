@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from training_runs import CONFIG, batch
 
-from unips_jax.training.config import DataConfig, OptimConfig
+from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 from unips_jax.training.optimizer import make_optimizer, make_schedule
 from unips_jax.training.state import new_state
 from unips_jax.training.step import _untrained, augment, train_step
@@ -86,7 +86,7 @@ def test_kernels_alone_decay(name):
     )
     params = {"a": {"kernel": jnp.ones((4, 3)), "bias": jnp.ones(3)}}
     params["table"] = jnp.ones((5, 3))
-    optimizer = make_optimizer(config, 10)
+    optimizer = make_optimizer(Config(optim=config, train=TrainConfig(steps=10)))
     zeros = jax.tree.map(jnp.zeros_like, params)
     updates, _ = optimizer.update(zeros, optimizer.init(params), params)
     np.testing.assert_allclose(updates["a"]["kernel"], -0.05, rtol=1e-6)
@@ -106,7 +106,7 @@ def test_a_step_moves_no_output_far():
     )
     for shape in ((64, 64), (3, 3, 384, 64)):
         kernel = jnp.zeros(shape)
-        optimizer = make_optimizer(config, 10)
+        optimizer = make_optimizer(Config(optim=config, train=TrainConfig(steps=10)))
         inputs = np.ones(np.prod(shape[:-1]), np.float32)
         gradient = jnp.asarray(np.outer(inputs, np.ones(64)).reshape(shape))
         state = optimizer.init({"kernel": kernel})

@@ -22,8 +22,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from unips_jax.estimation.pure import estimate_normals
-    from unips_jax.estimation.streaming import estimate_photographs
+    from unips_jax.estimation.pure import estimate_maps, estimate_normals
+    from unips_jax.estimation.streaming import (
+        estimate_photograph_maps,
+        estimate_photographs,
+    )
     from unips_jax.io.photographs import read_photographs
     from unips_jax.metrics import angular_error_deg
     from unips_jax.models.config import ModelConfig
@@ -38,7 +41,9 @@ __all__ = [
     "ModelConfig",
     "__version__",
     "angular_error_deg",
+    "estimate_maps",
     "estimate_normals",
+    "estimate_photograph_maps",
     "estimate_photographs",
     "integrate_image",
     "integrate_normals",
@@ -50,7 +55,9 @@ __all__ = [
 _MODULES = {
     "ModelConfig": "models.config",
     "angular_error_deg": "metrics",
+    "estimate_maps": "estimation.pure",
     "estimate_normals": "estimation.pure",
+    "estimate_photograph_maps": "estimation.streaming",
     "estimate_photographs": "estimation.streaming",
     "integrate_image": "surface.images",
     "integrate_normals": "surface.integrate",

@@ -7,7 +7,7 @@ mean over the images and the mirrored images, as those of our network are.
 """
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +34,27 @@ from unips_jax.models.config import ModelConfig
 from unips_jax.models.network import Network, read_contexts
 
 Params = Any
+
+
+class Estimate(NamedTuple):
+    """Normals, and what else a network with heads says of each pixel.
+
+    Zero outside the mask.
+
+    Attributes:
+        normals: `[..., 3]`, unit.
+        error: `[...]`, degrees: nine pixels in ten have normals less far off.
+        base_color: `[..., 3]`, linear, in [0, 1], up to scale; of metals their
+            reflectance.
+        roughness: `[...]`, in [0, 1], perceptual, as in glTF and Blender.
+        metallic: `[...]`, in [0, 1].
+    """
+
+    normals: Array
+    error: Array
+    base_color: Array
+    roughness: Array
+    metallic: Array
 
 
 def encode(
@@ -86,7 +107,8 @@ def decode(
     *,
     width: int,
     config: ModelConfig,
-) -> Array:
+    maps: bool = False,
+) -> Any:
     """Normals of pixels, from their sets.
 
     Args:
@@ -99,27 +121,34 @@ def decode(
         valid: `[N]`, bool: which images count; None: all.
         width: columns of the image.
         config: the network's configuration.
+        maps: also give the maps of a network that has them.
 
     Returns:
-        Unit normals, `[P, 3]`; of two views the mean, mirrored back.
+        Unit normals, `[P, 3]`; of two views the mean, mirrored back. With `maps` an
+        `Estimate`.
     """
     network = Network(config)
 
-    def decode_view(view: tuple[Array, Frame, Array]) -> Array:
+    def decode_view(view: tuple[Array, Frame, Array]) -> Any:
         contexts, frame, mirrored = view
         rows, columns = places
         columns = jnp.where(mirrored, width - 1 - columns, columns)
         cells = context_cells(rows, columns, frame, config)
         read = jnp.swapaxes(read_contexts(contexts, *cells, config=config), 0, 1)
-        normals: Any = network.apply(
-            {"params": params}, pixels, read, valid, method="decode"
+        method = "decode_maps" if maps else "decode"
+        decoded: Any = network.apply(
+            {"params": params}, pixels, read, valid, method=method
         )
+        normals, *rest = decoded if maps else (decoded,)
         signs = jnp.array([[-1, 1, 1]], normals.dtype)
-        return jnp.where(mirrored, normals * signs, normals)
+        return jnp.where(mirrored, normals * signs, normals), *rest
 
     mirrored = jnp.arange(len(contexts)) == 1
-    normals = map_views(decode_view, (contexts, frame, mirrored))
-    return normals[0] if len(normals) == 1 else ops.normalize(jnp.sum(normals, axis=0))
+    normals, *rest = map_views(decode_view, (contexts, frame, mirrored))
+    normals = normals[0] if len(normals) == 1 else ops.normalize(jnp.sum(normals, 0))
+    if not maps:
+        return normals
+    return Estimate(normals, *(jnp.mean(value, axis=0) for value in rest[0]))
 
 
 def estimate_normals(
@@ -168,6 +197,63 @@ def estimate_normals(
 
     Source: UniPS (Ikehata, CVPR 2022), Sec. 4.
     """
+    return _checked(
+        params,
+        images,
+        mask,
+        valid,
+        config=config,
+        frame_kind=frame,
+        uniform_contexts=uniform_contexts,
+    )
+
+
+def estimate_maps(
+    params: Params,
+    images: ArrayLike,
+    mask: ArrayLike | None = None,
+    *,
+    config: ModelConfig,
+    valid: ArrayLike | None = None,
+    frame: FrameKind = "mask",
+) -> Estimate:
+    """Estimates normals, their error, and the material, in one pass.
+
+    Everything that `estimate_normals` promises holds, and its normals are the same. The
+    other maps have no gradient with respect to what the network made of the contexts.
+
+    Args:
+        params: parameters of a network with heads (`ModelConfig.has_maps`), such as
+            the shipped `tiny`.
+        images: see `estimate_normals`, as the other arguments.
+        mask: `[H, W]`.
+        config: the network's configuration.
+        valid: `[N]`, bool.
+        frame: what the encoder's square surrounds.
+
+    Returns:
+        Arrays `[H, W, ...]`.
+
+    Raises:
+        ValueError: if the shapes do not fit each other, or the network has no heads.
+    """
+    if not config.has_maps:
+        raise ValueError(
+            "config: expected a network with heads (head_dim above 0), got one "
+            "without; estimate_normals needs none"
+        )
+    return _checked(
+        params, images, mask, valid, config=config, frame_kind=frame, maps=True
+    )
+
+
+def _checked(
+    params: Params,
+    images: ArrayLike,
+    mask: ArrayLike | None,
+    valid: ArrayLike | None,
+    **options: Any,
+) -> Any:
     images = jnp.asarray(images)
     if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
         raise ValueError(
@@ -184,21 +270,19 @@ def estimate_normals(
             f"valid: expected one flag per image, {images.shape[:1]}, got "
             f"{jnp.shape(valid)}"
         )
-    return _estimate_normals(
+    return _estimate(
         params,
         images.astype(ops.wide_dtype(images.dtype)),
         mask.astype(bool),
         None if valid is None else jnp.asarray(valid, bool),
-        config=config,
-        frame_kind=frame,
-        uniform_contexts=uniform_contexts,
+        **options,
     )
 
 
 @functools.partial(
-    jax.jit, static_argnames=("config", "frame_kind", "uniform_contexts")
+    jax.jit, static_argnames=("config", "frame_kind", "uniform_contexts", "maps")
 )
-def _estimate_normals(
+def _estimate(
     params: Params,
     images: Array,
     mask: Array,
@@ -206,8 +290,9 @@ def _estimate_normals(
     *,
     config: ModelConfig,
     frame_kind: FrameKind,
-    uniform_contexts: bool,
-) -> Array:
+    uniform_contexts: bool = False,
+    maps: bool = False,
+) -> Any:
     n, height, width, _ = images.shape
     # A mask that an outer `jit` knows would be worked through by its compiler.
     mask = jax.lax.optimization_barrier(mask)
@@ -240,8 +325,8 @@ def _estimate_normals(
     flat = images.reshape(n, count, 3)
     pixels = jnp.moveaxis(jnp.take(flat, index, axis=1, mode="clip"), 0, 1)
 
-    def decode_chunk(part: tuple[Array, Array]) -> Array:
-        def run(part: tuple[Array, Array]) -> Array:
+    def decode_chunk(part: tuple[Array, Array]) -> Any:
+        def run(part: tuple[Array, Array]) -> Any:
             pixels, index = part
             places = index // width, index % width
             return decode(
@@ -253,16 +338,21 @@ def _estimate_normals(
                 valid,
                 width=width,
                 config=config,
+                maps=maps,
             )
 
-        result = jax.eval_shape(run, part)
-        # Zeros that vary over the devices of a `shard_map` as the result does.
-        empty = jnp.zeros(result.shape, result.dtype)
-        empty = jnp.where(False, contexts.reshape(-1)[0].astype(empty.dtype), empty)
+        def nothing(result: jax.ShapeDtypeStruct) -> Array:
+            # Zeros that vary over the devices of a `shard_map` as the result does.
+            zeros = jnp.zeros(result.shape, result.dtype)
+            return jnp.where(False, contexts.reshape(-1)[0].astype(zeros.dtype), zeros)
+
+        empty = jax.tree.map(nothing, jax.eval_shape(run, part))
         return jax.lax.cond(part[1][0] < count, run, lambda _: empty, part)
 
+    def place(values: Array) -> Array:
+        whole = jnp.zeros((count, *values.shape[1:]), values.dtype)
+        whole = jnp.where(some, whole.at[index].set(values, mode="drop"), 0)
+        return whole.reshape(height, width, *values.shape[1:])
+
     decoded = map_chunks(decode_chunk, (pixels, index), max(1, CHUNK_TOKENS // n))
-    normals = jnp.zeros((count, 3), decoded.dtype)
-    normals = normals.at[index].set(decoded, mode="drop")
-    normals = jnp.where(some, normals, 0)
-    return normals.reshape(height, width, 3)
+    return jax.tree.map(place, decoded)

@@ -9,7 +9,7 @@ import numpy as np
 
 from unips_jax.estimation.chunks import CHUNK_TOKENS
 from unips_jax.estimation.frame import Frame, FrameKind, resize_weights, square_frame
-from unips_jax.estimation.pure import decode, encode
+from unips_jax.estimation.pure import Estimate, decode, encode
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.models.config import ModelConfig
 
@@ -48,6 +48,69 @@ def estimate_photographs(
     Returns:
         `[H, W, 3]`, float32: unit normals inside the mask, zero outside.
     """
+    (normals,) = _estimate(
+        params,
+        images,
+        mask,
+        config=config,
+        transfer=transfer,
+        frame=frame,
+        uniform_contexts=uniform_contexts,
+        progress=progress,
+    )
+    return normals
+
+
+def estimate_photograph_maps(
+    params: Any,
+    images: np.ndarray,
+    mask: np.ndarray,
+    *,
+    config: ModelConfig,
+    transfer: Transfer = "linear",
+    frame: FrameKind = "mask",
+    progress: Callable[[int, int], None] | None = None,
+) -> Estimate:
+    """`estimate_maps` for large photographs, as `estimate_photographs` is for normals.
+
+    Args:
+        params: parameters of a network with heads (`ModelConfig.has_maps`).
+        images: see `estimate_photographs`, as the other arguments.
+        mask: `[H, W]`, bool.
+        config: the network's configuration.
+        transfer: how values encode light.
+        frame: what the encoder's square surrounds.
+        progress: called with the numbers of pixels done and to do.
+
+    Returns:
+        NumPy arrays `[H, W, ...]`, float32, zero outside the mask.
+    """
+    maps = _estimate(
+        params,
+        images,
+        mask,
+        config=config,
+        transfer=transfer,
+        frame=frame,
+        progress=progress,
+        maps=True,
+    )
+    return Estimate(*maps)  # type: ignore[arg-type]
+
+
+def _estimate(
+    params: Any,
+    images: np.ndarray,
+    mask: np.ndarray,
+    *,
+    config: ModelConfig,
+    transfer: Transfer,
+    frame: FrameKind,
+    progress: Callable[[int, int], None] | None,
+    uniform_contexts: bool = False,
+    maps: bool = False,
+) -> list[np.ndarray]:
+    """The arrays of an `Estimate`, or its normals alone."""
     n = images.shape[0]
     bucket = next((b for b in _BUCKETS if b >= n), n)
     valid = np.arange(bucket) < n
@@ -66,7 +129,8 @@ def estimate_photographs(
         encoded.append((contexts, square))
     contexts, square = jax.tree.map(lambda *view: jnp.stack(view), *encoded)
 
-    normals = np.zeros((*mask.shape, 3), np.float32)
+    widths = ((3,), (), (3,), (), ()) if maps else ((3,),)  # of an `Estimate`'s arrays
+    results = [np.zeros((*mask.shape, *width), np.float32) for width in widths]
     size = max(1, CHUNK_TOKENS // bucket)
     done, total = 0, int(np.count_nonzero(mask))
     for y, x in _masked_pixels(mask, size):
@@ -83,18 +147,20 @@ def estimate_photographs(
             valid,
             width=mask.shape[1],
             config=config,
+            maps=maps,
         )
-        normals[y, x] = np.asarray(decoded)[: y.size]
+        for result, value in zip(results, jax.tree.leaves(decoded), strict=True):
+            result[y, x] = np.asarray(value)[: y.size]
         if progress is not None:
             done += y.size
             progress(done, total)
-    return normals
+    return results
 
 
 _encode_jit = jax.jit(encode, static_argnames=("config", "uniform_contexts"))
 
 
-_decode_jit = jax.jit(decode, static_argnames="config")
+_decode_jit = jax.jit(decode, static_argnames=("config", "maps"))
 
 
 def _canonical_photographs(

@@ -15,13 +15,14 @@ from unips_jax.errors import InputError
 from unips_jax.models import ops, self_calibrating, unips
 from unips_jax.models.config import ModelConfig, SelfCalibratingConfig
 from unips_jax.models.encoding import Encoded, Pieces, whole
+from unips_jax.models.heads import Heads, Maps
 
 
 class Network(nn.Module):
     """Either network, as its configuration says.
 
     Its parameters have two halves, "encoder" and "decoder"; `encode` needs only the one
-    and `decode` the other.
+    and `decode` the other. `decode_maps` also needs "heads", if it has them.
 
     Attributes:
         config: the network's configuration.
@@ -30,11 +31,13 @@ class Network(nn.Module):
     config: ModelConfig
 
     def setup(self) -> None:
-        """Makes the two halves."""
+        """Makes the halves, and the heads if there are any."""
         ours = isinstance(self.config, SelfCalibratingConfig)
         network: Any = self_calibrating if ours else unips
         self.encoder = network.Encoder(self.config)
         self.decoder = network.Decoder(self.config)
+        if isinstance(self.config, SelfCalibratingConfig) and self.config.has_maps:
+            self.heads = Heads(self.config.head_dim, jnp.dtype(self.config.dtype))
 
     def encode(
         self,
@@ -76,7 +79,25 @@ class Network(nn.Module):
         Returns:
             Unit normals, `[..., 3]`, float32.
         """
-        return self.decoder(pixels, contexts, valid, deterministic)
+        normals, _ = self.decoder(pixels, contexts, valid, deterministic)
+        return normals
+
+    def decode_maps(
+        self,
+        pixels: Array,
+        contexts: Array,
+        valid: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Maps]:
+        """Predicts normals, and what else is said of pixels; arguments as in `decode`.
+
+        Only for networks that have heads (`ModelConfig.has_maps`).
+
+        Returns:
+            Unit normals, `[..., 3]`, float32, as from `decode`, and the maps.
+        """
+        normals, features = self.decoder(pixels, contexts, valid, deterministic)
+        return normals, self.heads(features, pixels, valid)
 
     def __call__(
         self,
@@ -102,7 +123,10 @@ class Network(nn.Module):
         """
         contexts = self.encode(images, valid, deterministic).contexts
         read = read_contexts(contexts, rows, columns, config=self.config)
-        return self.decode(pixels, jnp.swapaxes(read, 0, 1), valid, deterministic)
+        sets = pixels, jnp.swapaxes(read, 0, 1), valid, deterministic
+        if self.is_initializing() and self.config.has_maps:
+            return self.decode_maps(*sets)[0]
+        return self.decode(*sets)
 
 
 def read_contexts(

@@ -188,8 +188,12 @@ class Decoder(nn.Module):
         contexts: Array,
         valid: Array | None = None,
         deterministic: bool = True,
-    ) -> Array:
-        """Predicts unit normals `[..., 3]`; arguments as in `models.unips`."""
+    ) -> tuple[Array, Array]:
+        """Predicts unit normals `[..., 3]`; arguments as in `models.unips`.
+
+        Returns:
+            They, and what they were predicted from, `[..., hidden_dim]`.
+        """
         contexts = self.observation(pixels, contexts, valid)
         features = self.aggregation(pixels, contexts, valid, deterministic)
-        return ops.normalize(self.prediction(features))
+        return ops.normalize(self.prediction(features)), features

@@ -111,7 +111,7 @@ class Decoder(nn.Module):
         contexts: Array,
         valid: Array | None = None,
         deterministic: bool = True,
-    ) -> Array:
+    ) -> tuple[Array, Array]:
         """Predicts normals.
 
         Args:
@@ -121,7 +121,8 @@ class Decoder(nn.Module):
             deterministic: no dropout.
 
         Returns:
-            Unit normals, `[..., 3]`, float32.
+            Unit normals, `[..., 3]`, float32, and what they were predicted from,
+            `[..., hidden_dim]`.
         """
         features = self.aggregation(pixels, contexts, valid, deterministic)
-        return ops.normalize(self.prediction(features))
+        return ops.normalize(self.prediction(features)), features

@@ -39,6 +39,10 @@ class Scene(NamedTuple):
         light_means: `[N, 3]`, the mean direction of each image's light at the object's
             centre, weighted by power: 1 long for a single light, 0 for light that
             comes equally from everywhere.
+        base_color: `[H, W, 3]`, linear, in [0, 1]; of metals their reflectance. This
+            and the next two are continued beyond the object as the normals are.
+        roughness: `[H, W]`, in [0, 1], perceptual.
+        metallic: `[H, W]`, in [0, 1].
     """
 
     images: Array
@@ -51,6 +55,9 @@ class Scene(NamedTuple):
     light_directions: Array
     light_intensities: Array
     light_means: Array
+    base_color: Array
+    roughness: Array
+    metallic: Array
 
 
 def shade(
@@ -104,10 +111,14 @@ def shade(
     linear = radiance(geometry, surface, keys, environment, config)
     linear = linear.reshape(num_images, 3, *geometry.mask.shape)
     images, mask, gain = record(key_sensor, linear, geometry.mask, config)
-    normals = geometry.normals
+    normals = jnp.moveaxis(geometry.normals, -1, 0)
+    own = [*surface.base_color, surface.roughness, surface.metallic]
+    matters = jnp.stack(own).reshape(5, *geometry.mask.shape)
     if config.rim_rate:  # masks may be larger than the object
-        beyond = normalize(tuple(extend(jnp.moveaxis(normals, -1, 0), geometry.mask)))
-        normals = jnp.where(geometry.mask[..., None], normals, jnp.stack(beyond, -1))
+        beyond = jnp.stack(normalize(tuple(extend(normals, geometry.mask))))
+        normals = jnp.where(geometry.mask, normals, beyond)
+        matters = jnp.where(geometry.mask, matters, extend(matters, geometry.mask))
+    normals, matters = (jnp.moveaxis(x, 0, -1) for x in (normals, matters * mask))
     directional = light == 0
     return Scene(
         images=jnp.moveaxis(images, 1, -1),
@@ -120,6 +131,9 @@ def shade(
         light_directions=jnp.where(directional, keys.vector, 0.0),
         light_intensities=jnp.where(directional, keys.color * gain, 0.0),
         light_means=light_means(geometry, keys, environment),
+        base_color=matters[..., :3],
+        roughness=matters[..., 3],
+        metallic=matters[..., 4],
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
@@ -34,7 +35,8 @@ def make_batches(
 
     Yields:
         `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and, of
-        scenes where the network has use for them, `lights [B, N, 3]`.
+        scenes where the network has use for them, `lights [B, N, 3]` and `material
+        [B, H, H, 5]`, base colour, roughness and metallic.
     """
     data, seed = config.data, config.train.seed
     scene_share = {"scenes": 1.0, "folders": 0.0}.get(data.source, data.scene_share)
@@ -86,6 +88,9 @@ def _scene_renderer(
         batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
         if config.model.guesses:  # others would be compiled for them in vain
             batch["lights"] = scene.light_means
+        if config.model.has_maps:
+            others = scene.roughness[..., None], scene.metallic[..., None]
+            batch["material"] = jnp.concatenate([scene.base_color, *others], axis=-1)
         return batch
 
     @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)

@@ -166,6 +166,8 @@ class TrainConfig:
         coarse_guess_weight: what the consensus' guess of coarse normals weighs in the
             loss, beside the normals' own distance.
         lights_guess_weight: what its guess of where the lights are weighs there.
+        heads_only: nothing but the heads of a network that has them is trained; the
+            rest stays as it was.
         log_every: steps between metric lines, each of their means since the one before.
         checkpoint_every: steps between checkpoints.
         keep: how many checkpoints are kept.
@@ -181,6 +183,7 @@ class TrainConfig:
     squared_loss: bool = True
     coarse_guess_weight: float = 0.5
     lights_guess_weight: float = 0.25
+    heads_only: bool = False
     log_every: int = 20
     checkpoint_every: int = 500
     keep: int = 2
@@ -227,3 +230,15 @@ class Config:
     optim: OptimConfig = OptimConfig()
     mesh: MeshConfig = MeshConfig()
     train: TrainConfig = TrainConfig()
+
+    def __post_init__(self) -> None:
+        """Checks what fields of different parts mean together.
+
+        Raises:
+            ValueError: naming the field, what was expected and what came.
+        """
+        require(
+            self.model.has_maps or not self.train.heads_only,
+            "heads_only: expected a network with heads (--model.head-dim above 0), got "
+            "one without",
+        )

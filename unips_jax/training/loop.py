@@ -195,6 +195,9 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
         for name, value in own.items()
         if name not in _SAME_PARAMETERS and run.get(name) != value
     }
+    if config.model.has_maps and not model.has_maps:  # they begin as drawn
+        changed.pop("head_dim")
+        params = {**params, "heads": state.params["heads"]}
     if changed:
         raise InputError(
             f"--init-weights {source}: expected weights of the run's network, got "

@@ -32,7 +32,14 @@ from unips_jax.estimation.frame import (
 from unips_jax.models import ops
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.encoding import Guesses, whole
+from unips_jax.models.heads import Maps
 from unips_jax.models.network import Network, read_contexts
+
+# Of the error's head: what share of the pixels stays below, and the degrees below
+# which errors are all alike.
+_QUANTILE, _ERROR_FLOOR = 0.9, 0.5
+# Values of a material: base colour, roughness, metallic.
+_MATERIAL = 5
 
 
 def squared_distance(predicted: Array, true: Array) -> Array:
@@ -132,17 +139,20 @@ def training_loss(
     config: ModelConfig,
     num_pixels: int,
     lights: Array | None = None,
+    material: Array | None = None,
     frame: FrameKind = "image",
     grid_loss: bool = True,
     squared_loss: bool = True,
     coarse_guess_weight: float = 0.5,
     lights_guess_weight: float = 0.25,
+    heads_only: bool = False,
     deterministic: bool = False,
 ) -> tuple[Array, dict[str, Array]]:
     """The mean loss of B objects, differentiable by the parameters.
 
     The decoder's gradient is computed with its value, see `chunked_sum`. A network that
-    guesses is also judged by its guesses of coarse normals and of the lights.
+    guesses is also judged by its guesses of coarse normals and of the lights, and one
+    with heads by what they say, which leaves its normals alone.
 
     Args:
         params: the network's parameters.
@@ -153,16 +163,19 @@ def training_loss(
         config: the network's configuration.
         num_pixels: full-resolution pixels to draw.
         lights: `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown.
+        material: `[B, H, W, 5]`, base colour, roughness and metallic; None: unknown.
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
         grid_loss: include the sampling at the contexts' grid.
         squared_loss: the distances of the normals are squared, as in the paper.
         coarse_guess_weight: what the guess of coarse normals weighs beside the normals.
         lights_guess_weight: what the guess of the lights weighs there.
+        heads_only: the loss is that of the heads, and has a gradient only there.
         deterministic: no dropout.
 
     Returns:
         The loss, and metrics: the mean angular error in degrees over the drawn pixels,
-        and the mean distances of the guesses ("coarse", "lights") where there are any.
+        and the mean distances of the guesses ("coarse", "lights") and losses of the
+        heads ("error", "material") where there are any.
     """
     # On CPU the decoder's chunks are small: nothing to recompute.
     on_cpu = jax.default_backend() == "cpu"
@@ -176,7 +189,7 @@ def training_loss(
         frame_kind=frame,
         grid_loss=grid_loss,
     )
-    prepared = jax.vmap(prepare)(images, mask, normals, draws[:, 0])
+    prepared = jax.vmap(prepare)(images, mask, normals, material, draws[:, 0])
     encoder_key, decoder_key = jax.random.split(draws[0, 1])
     # On CPU the compiler undoes rematerialisation everywhere but in loops.
     encoded: Any = network.apply(
@@ -195,40 +208,85 @@ def training_loss(
         cells = contexts.reshape(batch, num_images, -1, contexts.shape[-1])
         sampled = jnp.concatenate([cells, sampled], axis=2)
 
-    def score(decoder: Any, sets: Any, truth: Any) -> tuple[Array, Array]:
-        """Weighted distances of a chunk's pixels, and cosines `[p, B]`."""
+    def score(decoder: Any, sets: Any, truth: Any) -> tuple[Array, dict[str, Array]]:
+        """Weighted distances of a chunk's pixels; cosines and other losses `[p, B]`."""
         observed, sampled = (jnp.moveaxis(x, 0, 1) for x in sets)  # [B, p, N, C]
-        index, true, weights = truth
-        predicted: Any = network.apply(
-            {"params": {"decoder": decoder}},
+        index, true, weights, matter = truth
+        if heads_only:
+            decoder = {**jax.lax.stop_gradient(decoder), "heads": decoder["heads"]}
+        decoded: Any = network.apply(
+            {"params": decoder},
             observed,
             sampled,
             None,
             deterministic,
             rngs={"dropout": jax.random.fold_in(decoder_key, index[0])},
-            method="decode",
+            method="decode_maps" if config.has_maps else "decode",
         )
+        predicted, *maps = decoded if config.has_maps else (decoded,)
         squared = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
         loss = squared if squared_loss else plain_distance(squared)
-        return jnp.sum(weights * loss), 1 - squared / 2
+        arrays = {"cosine": 1 - squared / 2}
+        if maps:
+            said = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), maps[0])
+            losses = head_losses(said, _degrees(1 - squared / 2), matter)
+            loss = sum(losses.values(), jnp.zeros(()) if heads_only else loss)
+            arrays |= losses
+        return jnp.sum(weights * loss), arrays
 
-    true, weights = (jnp.swapaxes(x, 0, 1) for x in (prepared.true, prepared.weights))
-    loss, cosine = chunked_sum(
+    pixels = prepared.true, prepared.weights, prepared.material
+    true, weights, matter = (jnp.swapaxes(x, 0, 1) for x in pixels)
+    loss, arrays = chunked_sum(
         score,
-        params["decoder"],
+        {name: params[name] for name in ("decoder", "heads") if name in params},
         tuple(x.transpose(2, 0, 1, 3) for x in (prepared.observed, sampled)),
-        (jnp.arange(len(true)), true, weights / batch),
+        (jnp.arange(len(true)), true, weights / batch, matter),
         max(1, CHUNK_TOKENS // (batch * num_images)) if on_cpu else None,
     )
     drawn = prepared.cells[0].shape[1]
-    error = jnp.rad2deg(jnp.arccos(jnp.clip(cosine[-drawn:], -1, 1)))
-    metrics = {"mae_deg": jnp.sum(weights[-drawn:] * error) / batch}
+
+    def mean(values: Array) -> Array:
+        return jnp.sum(weights[-drawn:] * values[-drawn:]) / batch
+
+    metrics = {"mae_deg": mean(_degrees(arrays.pop("cosine")))}
+    metrics |= {name: mean(values) for name, values in arrays.items()}
+    if heads_only:
+        return loss, metrics
     if guesses is not None:
         losses = _guess_losses(guesses, mask, normals, lights, frame)
         guess_weights = {"coarse": coarse_guess_weight, "lights": lights_guess_weight}
         loss = loss + sum(guess_weights[name] * x for name, x in losses.items())
         metrics |= losses
     return loss, metrics
+
+
+def head_losses(maps: Maps, degrees: Array, material: Array) -> dict[str, Array]:
+    """How far the heads are off.
+
+    Args:
+        maps: `[...]`, see there.
+        degrees: `[...]`, the normals' errors; taken as constants.
+        material: `[..., 5]`, base colour, roughness and metallic; negative: unknown.
+
+    Returns:
+        `[...]` each. Of "error", the pinball loss of the logarithm: least where nine
+        errors in ten stay below. Of "material", absolute differences; of base colours
+        those of their square roots, which look alike from dark to bright.
+    """
+    degrees = jax.lax.stop_gradient(degrees)
+    above = jnp.log(degrees + _ERROR_FLOOR) - jnp.log(maps.error + _ERROR_FLOOR)
+    root = jnp.sqrt(jnp.maximum(material[..., :3], 0)) - jnp.sqrt(maps.base_color)
+    matter = jnp.mean(jnp.abs(root), axis=-1)
+    matter += jnp.abs(material[..., 3] - maps.roughness)
+    matter += jnp.abs(material[..., 4] - maps.metallic) / 2
+    return {
+        "error": jnp.maximum(_QUANTILE * above, (_QUANTILE - 1) * above),
+        "material": jnp.where(material[..., 0] < 0, 0.0, matter),
+    }
+
+
+def _degrees(cosine: Array) -> Array:
+    return jnp.rad2deg(jnp.arccos(jnp.clip(cosine, -1, 1)))
 
 
 def _guess_losses(
@@ -272,12 +330,14 @@ class _Prepared(NamedTuple):
     cells: tuple[Array, Array]  # rows and columns on the contexts' grid, [P] each
     true: Array  # [G + P, 3]
     weights: Array  # [G + P], of the pixels in the loss
+    material: Array  # [G + P, 5], negative where unknown
 
 
 def _prepare(
     images: Array,
     mask: Array,
     normals: Array,
+    material: Array | None,
     key: Array,
     *,
     config: ModelConfig,
@@ -296,16 +356,21 @@ def _prepare(
     observed = jnp.take(images.reshape(n, -1, 3), index, axis=1)
     true = jnp.take(normals.reshape(-1, 3), index, axis=0)
     weights = mean_weights(drawn)
+    matter = jnp.full((index.size, _MATERIAL), -1.0)
+    if material is not None:
+        matter = jnp.take(material.reshape(-1, _MATERIAL), index, axis=0)
     if grid_loss:
         small = canonical_images(images, mask, frame, grid)
         observed = jnp.concatenate([small[..., :3].reshape(n, -1, 3), observed], axis=1)
         small_true = canonical_images(normals[None], mask, frame, grid)[0, ..., :3]
         true = jnp.concatenate([ops.normalize(small_true).reshape(-1, 3), true])
         weights = jnp.concatenate([mean_weights(small[0, ..., 3].reshape(-1)), weights])
+        matter = jnp.concatenate([jnp.full((grid * grid, _MATERIAL), -1.0), matter])
     return _Prepared(
         inputs,
         observed,
         cells=context_cells(index // width, index % width, frame, config),
         true=true,
         weights=weights,
+        material=matter,
     )

@@ -7,7 +7,7 @@ import jax
 import optax
 import optax.contrib
 
-from unips_jax.training.config import OptimConfig
+from unips_jax.training.config import Config, OptimConfig
 
 # Optax's own five iterations. Given one by one they run in a loop; unrolled, as they
 # are otherwise, XLA on CPU repeats parts of each in the next and takes half again as
@@ -51,16 +51,26 @@ def make_schedule(config: OptimConfig, steps: int) -> optax.Schedule:
     return optax.join_schedules([warmup, after], [config.warmup_steps])
 
 
-def make_optimizer(config: OptimConfig, steps: int) -> optax.GradientTransformation:
+def make_optimizer(config: Config) -> optax.GradientTransformation:
     """The whole update rule.
 
     Args:
-        config: of the optimiser.
-        steps: length of the run.
+        config: of the run.
 
     Returns:
         An optax transformation.
     """
+    rule = _update_rule(config.optim, config.train.steps)
+    if not config.train.heads_only:
+        return rule
+
+    def labels(params: Any) -> Any:
+        return {name: "train" if name == "heads" else "keep" for name in params}
+
+    return optax.partition({"train": rule, "keep": optax.set_to_zero()}, labels)
+
+
+def _update_rule(config: OptimConfig, steps: int) -> optax.GradientTransformation:
     schedule = make_schedule(config, steps)
     if config.name == "adamw":
         rule = optax.adamw(

@@ -40,7 +40,7 @@ def init_state(config: Config, key: Array) -> TrainState:
         key: for the parameters.
     """
     params = init_params(config.model, key)
-    optimizer = make_optimizer(config.optim, config.train.steps)
+    optimizer = make_optimizer(config)
     return TrainState(
         step=jnp.zeros((), jnp.int32),
         params=params,

@@ -80,7 +80,7 @@ def batch_loss(
     Args:
         params: the network's parameters.
         batch: `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and
-            `lights [B, N, 3]` where they are known.
+            `lights [B, N, 3]` and `material [B, H, H, 5]` where they are known.
         key: for augmentation, pixels and dropout.
         config: of the run.
 
@@ -91,12 +91,13 @@ def batch_loss(
     num_images = batch["images"].shape[1]
 
     images, mask, normals = batch["images"], batch["mask"], batch["normals"]
-    lights = batch.get("lights")
+    lights, material = batch.get("lights"), batch.get("material")
     keys = jax.random.split(key, (2, images.shape[0]))
     if data.augment:
         images, mask, normals, lights = jax.vmap(augment)(
             images, mask, normals, lights, keys[0]
         )
+        material = None  # it has not been turned
     return training_loss(
         params,
         images,
@@ -104,6 +105,7 @@ def batch_loss(
         normals,
         keys[1],
         lights=lights,
+        material=material,
         config=config.model,
         num_pixels=data.pixels_for(num_images),
         frame=data.frame,
@@ -111,6 +113,7 @@ def batch_loss(
         squared_loss=config.train.squared_loss,
         coarse_guess_weight=config.train.coarse_guess_weight,
         lights_guess_weight=config.train.lights_guess_weight,
+        heads_only=config.train.heads_only,
     )
 
 
@@ -134,7 +137,7 @@ def train_step(
         functools.partial(batch_loss, config=config), has_aux=True
     )
     (loss, metrics), grads = gradient(state.params, batch, key)
-    optimizer = make_optimizer(config.optim, config.train.steps)
+    optimizer = make_optimizer(config)
     updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
     params = optax.apply_updates(state.params, updates)
     ema_params = state.ema_params
