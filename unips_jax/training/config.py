@@ -101,6 +101,8 @@ class OptimConfig:
         b2: decay of the second moments.
         clip_norm: largest global norm of the gradient; 0: no clipping.
         ema_decay: of the averaged parameters that are validated and released; 0: none.
+        heads_rate: factor of the steps of a network's heads, which may be younger than
+            the rest.
     """
 
     name: Literal["adamw", "muon"] = "adamw"
@@ -114,6 +116,7 @@ class OptimConfig:
     b2: float = 0.999
     clip_norm: float = 1.0
     ema_decay: float = 0.999
+    heads_rate: float = 1.0
 
     def __post_init__(self) -> None:
         """Checks every field.
@@ -122,7 +125,8 @@ class OptimConfig:
             ValueError: naming the field, what was expected and what came.
         """
         check_types(self)
-        require_positive(self, "learning_rate", "decay_every", "decay_rate")
+        rates = ("learning_rate", "decay_every", "decay_rate", "heads_rate")
+        require_positive(self, *rates)
         require_not_negative(
             self, "warmup_steps", "fall_steps", "weight_decay", "clip_norm"
         )

@@ -61,6 +61,13 @@ def make_optimizer(config: Config) -> optax.GradientTransformation:
         An optax transformation.
     """
     rule = _update_rule(config.optim, config.train.steps)
+    if config.model.has_maps:
+        rate = config.optim.heads_rate
+
+        def hasten(updates: Any, _: Any) -> Any:
+            return {**updates, "heads": optax.tree.scale(rate, updates["heads"])}
+
+        rule = optax.chain(rule, optax.stateless(hasten))
     if not config.train.heads_only:
         return rule
 
