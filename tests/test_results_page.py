@@ -125,7 +125,7 @@ def test_tables_of_evaluations_are_read_by_name(measurements, tmp_path, monkeypa
         named = {n: {"columns": c, "rows": r} for n, (c, r) in tables.items()}
         (place / "tables.json").write_text(json.dumps(named))
 
-    mini = measurements["_ps_wild_mini"](setting, "")
+    mini = measurements["_ps_wild"](setting, "", name="ps-wild-mini")
     assert mini["columns"] == ["", "directional", "environment", "mixed", "mean"]
     assert mini["rows"][0] == ["UniPS", 1.23, 2.0, 3.0, 2.08]
     assert mini["rows"][-1] == ["material: metal", 2.0, 4.0, 6.0, 4.0]

@@ -1,13 +1,19 @@
 """Fetches free assets from package registries, pinned, and makes tables of them.
 
     python tools/fetch_assets.py assets --tables unips_jax/assets/environments.npz
+    python tools/fetch_assets.py assets --meshes
 
-Needs `npm`. Writes `assets/environments/*.exr`, 18 photographed environments of 512 x
-256 pixels by Poly Haven (CC0-1.0), and `assets/LICENSES.md`. With `--tables`, also the
-file that `unips_jax.scenes.environments` reads: each environment blurred to five
-degrees, its sun apart, but for the two that Blender also has: the sets that the network
-is judged by are rendered in those. An archive whose hash is not the one below is
-refused.
+The first needs `npm`. It writes `assets/environments/*.exr`, 18 photographed
+environments of 512 x 256 pixels by Poly Haven (CC0-1.0). With `--tables`, also the file
+that `unips_jax.scenes.environments` reads: each environment blurred to five degrees,
+its sun apart, but for the two that Blender also has: the sets that the network is
+judged by are rendered in those.
+
+The second writes `assets/meshes/`, ten shapes from Python packages: those of the test
+set `unips render --engine cycles --preset ps-wild-real --meshes assets/meshes`, which
+nothing is to be trained on.
+
+Both write their licences beside. An archive whose hash is not the one below is refused.
 """
 
 import argparse
@@ -15,9 +21,11 @@ import base64
 import hashlib
 import io
 import subprocess
+import sys
 import tarfile
 import tempfile
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,25 +48,62 @@ class Package(NamedTuple):
     """What is fetched.
 
     Attributes:
-        name: in the registry, with its version.
+        name: in its registry, with its version.
         sha512: of the archive.
         license: SPDX name.
         about: what it holds.
+        fetch: the command that writes its archive into the folder where it runs.
     """
 
     name: str
     sha512: str
     license: str
     about: str
+    fetch: tuple[str, ...]
 
 
+_NPM = ("npm", "pack", "--silent")
+_PIP = (sys.executable, "-m", "pip", "download", "--quiet", "--no-deps")
 ENVIRONMENTS = Package(
     "@pmndrs/assets@1.7.0",
     "cc798a352fb726fbbd2b7cc90507d840a4fd3e7f4842df2cd2afde242dc25caa"
     "56a7283a2016be8af37d3600e7f9f0d3d80563521d98459fff19752e7ae01d0a",
     "CC0-1.0",
     "18 environments photographed by Poly Haven",
+    _NPM,
 )
+DM_CONTROL = Package(
+    "dm-control==1.0.50",
+    "53c0608c5b7631b5d4e43e5992b905331efb01bb44085dc8263791944cfb882b"
+    "ebcdee8f55af5cd26b4db5c875c499bb98ba3ef9e4f83890e04a628da3e3b104",
+    "Apache-2.0",
+    "a dog and its bones",
+    _PIP,
+)
+GENESIS = Package(
+    "genesis-world==1.4.5",
+    "446a0e71096b07c8366b7a820e16839e28e05e36778ad05261dcfc2d1146a233"
+    "299feb7888add4a8a9714074eee8dd62c8ded6de6a0abc2f87a2b619e481225d",
+    "Apache-2.0",
+    "a bolt, a worm, a bathtub",
+    _PIP,
+)
+MESHES = {
+    DM_CONTROL: {
+        "skull": "dm_control/suite/dog_assets/BONEMergedSkull.stl",
+        "dog": "dm_control/suite/dog_assets/SKINbody.stl",
+        "pelvis": "dm_control/suite/dog_assets/BONEPelvis.stl",
+        "vertebra": "dm_control/suite/dog_assets/BONEL_4.stl",
+        "sacrum": "dm_control/suite/dog_assets/BONESacrum.stl",
+        "jaw": "dm_control/suite/dog_assets/BONEJaw.stl",
+        "atlas": "dm_control/suite/dog_assets/BONEC_1.stl",
+    },
+    GENESIS: {
+        "bolt": "genesis/assets/meshes/bolt_nut/bolt.stl",
+        "worm": "genesis/assets/meshes/worm/worm.obj",
+        "bathtub": "genesis/assets/meshes/bathtub/bathtub.obj",
+    },
+}
 
 
 def fetch(package: Package) -> bytes:
@@ -70,17 +115,18 @@ def fetch(package: Package) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         try:
             subprocess.run(
-                ["npm", "pack", "--silent", package.name],
+                [*package.fetch, package.name],
                 cwd=folder,
                 check=True,
                 capture_output=True,
                 text=True,
             )
         except FileNotFoundError:
-            raise InputError("npm: expected on the path, found none") from None
+            tool = package.fetch[0]
+            raise InputError(f"{tool}: expected on the path, found none") from None
         except subprocess.CalledProcessError as error:
             raise InputError(f"{package.name}: {error.stderr.strip()[-300:]}") from None
-        (archive,) = Path(folder).glob("*.tgz")
+        (archive,) = Path(folder).iterdir()
         data = archive.read_bytes()
     found = hashlib.sha512(data).hexdigest()
     if found != package.sha512:
@@ -89,6 +135,22 @@ def fetch(package: Package) -> bytes:
             f"got {found[:16]}..."
         )
     return data
+
+
+def meshes_of(archive: bytes, files: dict[str, str]) -> dict[str, bytes]:
+    """Meshes out of a Python package, by the names that they get.
+
+    Raises:
+        InputError: if one is missing.
+    """
+    with zipfile.ZipFile(io.BytesIO(archive)) as wheel:
+        missing = sorted(set(files.values()) - set(wheel.namelist()))
+        if missing:
+            raise InputError(f"expected {missing[0]} in the archive, found none")
+        return {
+            f"{name}{Path(path).suffix}": wheel.read(path)
+            for name, path in files.items()
+        }
 
 
 def environments_of(archive: bytes) -> dict[str, bytes]:
@@ -175,6 +237,37 @@ def tables_of(pictures: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
+def _write_licenses(folder: Path, packages: Iterable[Package]) -> None:
+    lines = [f"- {p.about}, {p.license}, from `{p.name}`\n" for p in packages]
+    write_whole(folder / "LICENSES.md", "".join(["# Licences\n\n", *lines]).encode())
+
+
+def _write_meshes(folder: Path) -> None:
+    make_folder(folder, "DIR")
+    for package, files in MESHES.items():
+        for name, data in meshes_of(fetch(package), files).items():
+            write_whole(folder / name, data)
+    _write_licenses(folder, MESHES)
+    print(f"wrote {sum(map(len, MESHES.values()))} meshes to {folder}")
+
+
+def _write_environments(folder: Path, tables: Path | None) -> None:
+    make_folder(folder, "DIR")
+    pictures = []
+    for name, data in environments_of(fetch(ENVIRONMENTS)).items():
+        path = folder / f"{name}.exr"
+        write_whole(path, data)
+        if name not in _KEPT_APART:
+            pictures.append(read_image(path).astype(np.float32)[..., :3])
+    _write_licenses(folder, [ENVIRONMENTS])
+    print(f"wrote environments to {folder}, {len(pictures)} to train on")
+    if tables:
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **tables_of(np.stack(pictures)))  # type: ignore[arg-type]
+        write_whole(tables, buffer.getvalue())
+        print(f"wrote {tables}, {len(buffer.getvalue()) / 1e6:.1f} MB")
+
+
 @command
 def main(argv: Sequence[str] | None = None) -> None:
     """Fetches, writes, and says what."""
@@ -183,23 +276,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("folder", metavar="DIR", type=Path)
     parser.add_argument("--tables", type=Path, metavar="FILE", help="write them there")
+    parser.add_argument("--meshes", action="store_true", help="fetch meshes instead")
     arguments = parser.parse_args(argv)
-    make_folder(arguments.folder / "environments", "DIR")
-    pictures = []
-    for name, data in environments_of(fetch(ENVIRONMENTS)).items():
-        path = arguments.folder / "environments" / f"{name}.exr"
-        write_whole(path, data)
-        if name not in _KEPT_APART:
-            pictures.append(read_image(path).astype(np.float32)[..., :3])
-    line = f"- `environments/`: {ENVIRONMENTS.about}, {ENVIRONMENTS.license}, from "
-    text = f"# Licences\n\n{line}`{ENVIRONMENTS.name}`\n"
-    write_whole(arguments.folder / "LICENSES.md", text.encode())
-    print(f"wrote environments to {arguments.folder}, {len(pictures)} to train on")
-    if arguments.tables:
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **tables_of(np.stack(pictures)))  # type: ignore[arg-type]
-        write_whole(arguments.tables, buffer.getvalue())
-        print(f"wrote {arguments.tables}, {len(buffer.getvalue()) / 1e6:.1f} MB")
+    if arguments.meshes:
+        _write_meshes(arguments.folder / "meshes")
+    else:
+        _write_environments(arguments.folder / "environments", arguments.tables)
 
 
 if __name__ == "__main__":

@@ -226,7 +226,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     add("--weights", default="tiny", help="shipped name or file (tiny)")
     add("--workdir", type=Path, default=ROOT / "runs" / "results")
     add("--shared", type=Path, default=ROOT.parent / "shared", help="real photographs")
-    add("--ps-wild-mini", type=Path, default=ROOT / "ps-wild-mini", metavar="DIR")
+    for name in ("ps-wild-mini", "ps-wild-real"):
+        add(f"--{name}", type=Path, default=ROOT / name, metavar="DIR")
     arguments = parser.parse_args(argv)
     if arguments.measure is not None:
         unknown = sorted(set(arguments.measure) - set(MEASUREMENTS))
@@ -239,6 +240,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             "out": arguments.workdir.resolve(),
             "shared": arguments.shared.resolve(),
             "ps-wild-mini": arguments.ps_wild_mini.resolve(),
+            "ps-wild-real": arguments.ps_wild_real.resolve(),
             "tools": ROOT / "tools",
         }
         weights = arguments.weights

@@ -155,6 +155,24 @@ def drawn_jobs(
     return jobs
 
 
+def require_meshes(manifest: Path, meshes: list[Path] | None, preset: str) -> None:
+    """Checks that a preset's own manifest finds all its meshes.
+
+    Raises:
+        InputError: if one is missing.
+    """
+    with manifest.open(newline="") as file:
+        wanted = [row["object"] for row in csv.DictReader(file)]
+    stems = {mesh.stem.lower() for mesh in meshes or []}
+    missing = [name for name in wanted if name not in stems]
+    if missing:
+        raise InputError(
+            f"--preset {preset}: expected meshes {', '.join(wanted)} in --meshes, "
+            f"found no {missing[0]}; `python tools/fetch_assets.py DIR --meshes` "
+            "fetches them to DIR/meshes"
+        )
+
+
 def manifest_jobs(
     path: Path,
     seed: int,

@@ -28,6 +28,15 @@ PRESETS: dict[str, dict[str, Any]] = {
         "environments": "blender",
         "seed": 2022,
     },
+    "ps-wild-real": {
+        "manifest": Path(__file__).with_name("ps_wild_real.csv"),
+        "images": 10,
+        "size": 256,
+        "samples": 64,
+        "denoise": True,
+        "environments": "blender",
+        "seed": 2026,
+    },
 }
 _ENVIRONMENTS = frozenset((".hdr", ".exr"))
 
@@ -81,6 +90,8 @@ def render(
         files |= _sizes("--environments", Path(around), found)
         chosen["environments"] = tuple(str(path.resolve()) for path in found)
     count, manifest = chosen.pop("objects"), chosen.pop("manifest", None)
+    if manifest is not None and "manifest" in PRESETS[preset]:
+        assets.require_meshes(manifest, meshes, preset)
     if manifest is None:
         jobs = assets.drawn_jobs(count, chosen["seed"], meshes, materials)
     else:
