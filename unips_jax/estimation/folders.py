@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from unips_jax.capture.masks import TRUSTED, suggest_mask
 from unips_jax.console import progress, track
 from unips_jax.errors import InputError
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.advice import capture_warnings
 from unips_jax.io.color import Transfer
+from unips_jax.io.images import write_image
 from unips_jax.io.normals import write_normals
 from unips_jax.io.official import read_official
 from unips_jax.io.photographs import Capture, read_capture
@@ -52,6 +54,7 @@ from unips_jax.surface.outputs import (
 # What the results follow from, beside photographs, weights and options.
 _CODE = (
     "estimation.streaming",
+    "capture.masks",
     "io.photographs",
     "io.official",
     "io.normals",
@@ -203,6 +206,8 @@ def estimate_selection(
     record = complete_record(
         made_from, images, mask, transfer, capture.transfer_rule, warnings
     )
+    record["mask_contrast"] = capture.mask_contrast
+    record["mask_suggested"] = (capture.mask_contrast or 0) >= TRUSTED
     if verbose:
         print_record(record)
         for warning in warnings:
@@ -277,6 +282,8 @@ def write_estimate(
             encoded=estimate.transfer == "srgb",
             truth=truth,
         )
+        if record["mask_suggested"]:
+            write_image(place / "mask.png", estimate.mask.astype(np.uint8) * 255)
         if options.depth or options.mesh:
             colors = None
             if options.mesh:
@@ -307,14 +314,18 @@ def _network(config: ModelConfig, params: Any, name: str, *, trained: bool) -> N
 
 
 def _select(folder: Path, options: FolderOptions) -> Selection:
-    return select(
+    selection = select(
         folder,
-        mask_file=options.mask,
+        mask_file=options.mask if isinstance(options.mask, Path) else None,
         include=options.include,
         exclude=options.exclude,
         max_images=options.max_images,
         seed=options.seed,
     )
+    if options.mask == "none" and selection.mask_file is not None:
+        left_out = {**selection.left_out, "by --mask none": [selection.mask_file.name]}
+        return dataclasses.replace(selection, mask_file=None, left_out=left_out)
+    return selection
 
 
 def _read(
@@ -329,13 +340,27 @@ def _read(
         images, mask, _ = read_official(selection, size=size, read=reader)
         return Capture(images, mask, "linear", "the authors' reader")
     tracked: Any = functools.partial(track, description="reading photographs")
-    return read_capture(
+    capture = read_capture(
         selection,
         transfer=None if options.transfer == "auto" else options.transfer,
         max_pixels=options.max_pixels,
         read=reader,
         track=tracked if verbose else iter,
     )
+    if selection.mask_file is not None or options.mask != "auto":
+        return capture
+    return _with_suggested_mask(capture)
+
+
+def _with_suggested_mask(capture: Capture) -> Capture:
+    mask, figure = suggest_mask(capture.images, transfer=capture.transfer)
+    if mask is None:
+        return dataclasses.replace(capture, mask_contrast=figure)
+    mask &= capture.mask
+    if not mask.any():
+        return dataclasses.replace(capture, mask_contrast=0.0)
+    # What was left out of the whole image lies around the object: no news.
+    return dataclasses.replace(capture, mask=mask, mask_contrast=figure, notes=())
 
 
 def _input_record(
@@ -345,8 +370,8 @@ def _input_record(
     reader: HashingReader,
 ) -> dict[str, Any]:
     # Where the mask lies is no matter: its contents are told apart by their hash.
-    chosen = dataclasses.asdict(dataclasses.replace(options, mask=None))
-    del chosen["mask"]
+    chosen = dataclasses.asdict(options)
+    chosen["mask"] = "none" if options.mask == "none" else "auto"
     chosen |= {name: list(chosen[name]) for name in ("include", "exclude")}  # as JSON
     normals = selection.folder / "normal.tif"
     if options.reader == "official" and not selection.mask_file and normals.is_file():

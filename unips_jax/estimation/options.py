@@ -2,7 +2,9 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import MAX_PIXELS
@@ -16,7 +18,9 @@ class FolderOptions:
     """How photographs are read, and what is written.
 
     Attributes:
-        mask: an image that is bright on the object, in place of the folder's mask.
+        mask: an image that is bright on the object, in place of the folder's mask;
+            auto: the folder's, else a suggested one where the background is plain, else
+            the whole image; none: the whole image.
         include: patterns such as "img_*.png": the images they fit are the photographs,
             whatever they are called.
         exclude: patterns of files to leave out.
@@ -38,7 +42,9 @@ class FolderOptions:
             photograph; without it the camera is orthographic.
     """
 
-    mask: Path | None = None
+    mask: Annotated[
+        Literal["auto", "none"] | Path, tyro.conf.arg(metavar="auto|none|FILE")
+    ] = "auto"
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     max_pixels: int = MAX_PIXELS

@@ -61,6 +61,8 @@ class Capture:
         focal: focal length in pixels by the first file's EXIF data; None where it is
             not told.
         notes: what was dealt with, one sentence each.
+        mask_contrast: of a mask that was looked for in the photographs; None where it
+            was not.
     """
 
     images: np.ndarray
@@ -69,6 +71,7 @@ class Capture:
     transfer_rule: str = ""
     focal: float | None = None
     notes: tuple[str, ...] = ()
+    mask_contrast: float | None = None
 
 
 def read_photographs(

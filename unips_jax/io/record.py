@@ -174,8 +174,10 @@ def print_record(record: dict[str, Any]) -> None:
     """
     options, weights = record["options"], record["weights"]
     size = f"{record['width']} x {record['height']}"
-    mask = record["mask"] or "none"
-    print_line("mask", f"{mask}: {record['mask_pixels']} of {size} pixels are taken")
+    print_line(
+        "mask",
+        f"{_mask_told(record)}: {record['mask_pixels']} of {size} pixels are taken",
+    )
     if options["reader"] == "official":
         print_line("reader", f"official: square crop, resized to {size}, linear")
     else:
@@ -188,6 +190,18 @@ def print_record(record: dict[str, Any]) -> None:
     if not weights["trained"]:
         print_line("", _UNTRAINED)
     sys.stdout.flush()
+
+
+def _mask_told(record: dict[str, Any]) -> str:
+    contrast = record.get("mask_contrast")
+    if record["mask"] or contrast is None:
+        return record["mask"] or "none"
+    if record["mask_suggested"]:
+        return (
+            f"suggested (contrast {contrast:.2f}; --mask FILE or none overrules; "
+            "see mask.png)"
+        )
+    return f"none (no plain background: contrast {contrast:.2f})"
 
 
 def print_line(label: str, text: str) -> None:

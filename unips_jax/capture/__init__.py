@@ -1,0 +1,1 @@
+"""Looks at photographs before an estimate: masks, movement, light, exposure."""
