@@ -22,7 +22,7 @@ from unips_jax.cycles import assets, run
 from unips_jax.cycles.blender_process import Blender, BlenderError, find_python
 from unips_jax.cycles.environments import HEIGHT, WIDTH
 from unips_jax.errors import InputError
-from unips_jax.scenes.materials import Surface, reflectance
+from unips_jax.lighting.reflectance import Surface, reflectance
 
 SIZE = 64
 LAMBERTIAN = {"diffuse": [0.8, 0.5, 0.2]}

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from small_networks import SMALL, lively_weights
+from test_surface_command import hemisphere
 
-from unips_jax import estimate_normals
+from unips_jax import Materials, estimate_normals
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -34,3 +35,20 @@ def test_white_balance_is_recovered():
     )
     assert losses[-1] < 1e-3 * losses[0]
     assert np.abs(np.log(found / gains)).mean() < 0.1 * np.abs(np.log(gains)).mean()
+
+
+def test_the_light_of_a_photograph_is_found():
+    example = runpy.run_path(str(EXAMPLES / "fit_light.py"))
+    normals, _, _ = hemisphere(20)
+    materials = Materials(jnp.array([0.6, 0.4, 0.2]), 0.5)
+    direction = jnp.array([0.5, 0.3, 0.8])
+    harmonics = jnp.zeros((9, 3)).at[0].set(0.5).at[1].set(0.2)
+    truth = example["Light"](direction, jnp.log(jnp.array([2.0, 1.8, 1.5])), harmonics)
+    photograph = example["show"](truth, jnp.asarray(normals), materials)
+    found, losses = example["fit_light"](photograph, jnp.asarray(normals), materials)
+    assert losses[-1] < 0.05 * losses[0]
+    cosine = found.direction @ direction / jnp.linalg.norm(direction)
+    assert np.degrees(np.arccos(cosine)) < 5
+    # Surroundings may take a part of the lamp's light: they look alike when smooth.
+    redder = jnp.exp(found.log_color[0] - found.log_color[2])
+    assert 1.1 < redder < 2.0 / 1.5 + 0.2

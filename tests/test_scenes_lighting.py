@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from known_objects import look, make_shape
 
-from unips_jax.scenes import SceneConfig, grids, lights, materials, shading
+from unips_jax.lighting import reflectance
+from unips_jax.scenes import SceneConfig, grids, lights, shading
 from unips_jax.scenes import render as scenes_render
 from unips_jax.scenes.folders import describe
 
@@ -18,7 +19,7 @@ def sphere():
 
 def matt(geometry_, color=0.6):
     count = geometry_.mask.size
-    return materials.Surface(
+    return reflectance.Surface(
         base_color=jnp.full((3, count), color),
         roughness=jnp.full(count, 0.5),
         metallic=jnp.zeros(count),
@@ -159,7 +160,7 @@ def test_a_round_hollow_sees_its_share_of_the_sky_and_itself(bowl):
 def test_constant_environment_never_amplifies(sphere):
     count = sphere.mask.size
     for metallic in (0.0, 1.0):
-        surface = materials.Surface(
+        surface = reflectance.Surface(
             jnp.ones((3, count)),
             jnp.linspace(0.06, 1.0, count),
             jnp.full(count, metallic),

@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from unips_jax.lighting import reflectance
 from unips_jax.scenes import MATERIALS, materials
 
 
 def _surface(base, roughness, metallic, specular=1.0):
-    return materials.Surface(
+    return reflectance.Surface(
         jnp.full((3, 1), base),
         jnp.full(1, roughness),
         jnp.full(1, metallic),
@@ -20,7 +21,7 @@ def _surface(base, roughness, metallic, specular=1.0):
 def _brdf(surface, light, view):
     half = light + view
     half = half / jnp.linalg.norm(half, axis=-1, keepdims=True)
-    return materials.reflectance(
+    return reflectance.reflectance(
         surface,
         n_l=light[:, 2],
         n_v=view[:, 2],
@@ -66,7 +67,7 @@ def test_white_furnace(roughness, cosine):
     white = albedo(_surface(1.0, roughness, 0.0))
     assert 0.96 < white < 1.02
     metal = albedo(_surface(1.0, roughness, 1.0))
-    a, b = materials.environment_brdf(jnp.float32(cosine), jnp.float32(roughness))
+    a, b = reflectance.environment_brdf(jnp.float32(cosine), jnp.float32(roughness))
     assert metal < 1.001
     assert metal == pytest.approx(float(a + b), abs=0.04)
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         estimate_photographs,
     )
     from unips_jax.io.photographs import read_photographs
+    from unips_jax.lighting.relight import DistantLights, Materials, relight
     from unips_jax.metrics import angular_error_deg
     from unips_jax.models.config import ModelConfig
     from unips_jax.scenes.render import render_scene
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "DistantLights",
+    "Materials",
     "ModelConfig",
     "__version__",
     "angular_error_deg",
@@ -49,10 +52,13 @@ __all__ = [
     "integrate_normals",
     "load_weights",
     "read_photographs",
+    "relight",
     "render_scene",
 ]
 
 _MODULES = {
+    "DistantLights": "lighting.relight",
+    "Materials": "lighting.relight",
     "ModelConfig": "models.config",
     "angular_error_deg": "metrics",
     "estimate_maps": "estimation.pure",
@@ -63,6 +69,7 @@ _MODULES = {
     "integrate_normals": "surface.integrate",
     "load_weights": "weights",
     "read_photographs": "io.photographs",
+    "relight": "lighting.relight",
     "render_scene": "scenes.render",
 }
 

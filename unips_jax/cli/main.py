@@ -14,6 +14,7 @@ COMMANDS = {
     "estimate": ("cli.estimate", "normals from folders of photographs"),
     "train": ("train", "train the network"),
     "surface": ("cli.surface", "depth and a mesh from normals"),
+    "relight": ("cli.relight", "images of normals and materials under new light"),
     "validate": ("cli.validate", "score weights on held-out scenes"),
     "eval": ("cli.eval", "evaluate UniPS and other methods on benchmarks"),
     "render": ("cli.render", "make scenes with known normals"),

@@ -23,7 +23,7 @@ from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image_file
 from unips_jax.io.masks import read_mask
-from unips_jax.io.normals import NormalMap, flip_green, read_normals
+from unips_jax.io.normals import NormalMap, load_normals, read_array
 from unips_jax.io.record import print_line
 from unips_jax.io.results import appearing_at_once, check_target
 from unips_jax.surface.mesh import check_mesh_file
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """`unips surface`."""
     options = parse(Options, argv, prog="unips surface", description=__doc__)
     _check(options)
-    normals = _normals(options)
+    normals = load_normals(options.normals, options.normal_map)
     size = normals.shape[:2]
     mask = None
     if options.mask is not None:
@@ -146,36 +146,8 @@ def _check(options: Options) -> None:
     check_target(options.output, options.normals, record=RECORD)
 
 
-def _normals(options: Options) -> np.ndarray:
-    path = options.normals
-    if path.is_dir():
-        path = path / "normals.npy"
-    if path.suffix != ".npy":
-        normals = read_normals(path)
-        return flip_green(normals) if options.normal_map == "directx" else normals
-    normals = _array(path)
-    if normals.ndim != 3 or normals.shape[2] != 3:
-        raise InputError(
-            f"{path}: expected normals, [H, W, 3], got {normals.shape}; give the array "
-            "that `unips estimate` writes"
-        )
-    return normals
-
-
-def _array(path: Path) -> np.ndarray:
-    try:
-        values = np.load(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: expected an array of numbers: {error}") from None
-    if values.dtype.kind not in "fiu":
-        raise InputError(f"{path}: expected numbers, got {values.dtype}")
-    return values.astype(np.float32)
-
-
 def _prior(path: Path, size: tuple[int, int]) -> np.ndarray:
-    prior = _array(path) if path.suffix == ".npy" else _depth(path)
+    prior = read_array(path) if path.suffix == ".npy" else _depth(path)
     _check_size(path, prior.shape, size)
     return prior
 

@@ -103,6 +103,53 @@ def read_normals(path: Path) -> np.ndarray:
     return normals_of(read_image_file(path, vectors=True))
 
 
+def load_normals(path: Path, normal_map: NormalMap = "opengl") -> np.ndarray:
+    """Normals of a normal map, of an array, or of a folder of results.
+
+    Args:
+        path: an image, a `.npy`, or a folder with `normals.npy`.
+        normal_map: the convention of an image; arrays are always y up.
+
+    Returns:
+        `[H, W, 3]`, float32, as stored: not normalised, and maybe not finite.
+
+    Raises:
+        InputError: if there are none.
+    """
+    if path.is_dir():
+        path = path / "normals.npy"
+    if path.suffix != ".npy":
+        normals = read_normals(path)
+        return flip_green(normals) if normal_map == "directx" else normals
+    normals = read_array(path)
+    if normals.ndim != 3 or normals.shape[2] != 3:
+        raise InputError(
+            f"{path}: expected normals, [H, W, 3], got {normals.shape}; give the array "
+            "that `unips estimate` writes"
+        )
+    return normals
+
+
+def read_array(path: Path) -> np.ndarray:
+    """Reads a `.npy` file of numbers, as float32.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: if it is none.
+    """
+    try:
+        values = np.load(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: expected an array of numbers: {error}") from None
+    if values.dtype.kind not in "fiu":
+        raise InputError(f"{path}: expected numbers, got {values.dtype}")
+    return values.astype(np.float32)
+
+
 def normals_of(file: ImageFile) -> np.ndarray:
     """What a normal map's image holds; see `read_normals`.
 

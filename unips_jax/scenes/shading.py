@@ -14,6 +14,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from unips_jax.lighting.reflectance import (
+    Surface,
+    environment_reflectance,
+    fresnel_f0,
+    reflectance,
+)
 from unips_jax.scenes.backdrop import ray_clearance
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.geometry import Geometry
@@ -23,14 +29,6 @@ from unips_jax.scenes.lights import (
     KeyLights,
     environment_radiance,
     key_light_at,
-)
-from unips_jax.scenes.materials import (
-    Surface,
-    dielectric_albedo,
-    environment_brdf,
-    fresnel_f0,
-    reflectance,
-    specular_weight,
 )
 from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.tracing import clearance, soft_visibility
@@ -119,11 +117,7 @@ def shade_environment(
     """
     normal, view = split(geometry.normals), split(geometry.view)
     n_v = jnp.maximum(dot(normal, view), 0.02)
-    a, b = environment_brdf(n_v, surface.roughness)
-    f0 = fresnel_f0(surface)
-    specular = (f0 * a + b) * specular_weight(surface)  # [3, P]
-    dielectric = surface.specular * dielectric_albedo(n_v, surface.roughness)
-    diffuse = surface.base_color * (1 - surface.metallic) * (1 - dielectric)
+    diffuse, specular = environment_reflectance(surface, n_v)  # [3, P]
     basis = tuple(geometry.directions.T[..., None])
     visibility = geometry.visibility.reshape(geometry.directions.shape[0], -1)
     cosine = jnp.maximum(sum(n * w for n, w in zip(normal, basis, strict=True)), 0.0)

@@ -1,0 +1,240 @@
+"""Images of normals and materials under new light.
+
+RESULT is a folder of `unips estimate` (its base colour is taken, where it has one), a
+normal map or a .npy. OUT receives relit.png (8 bit, sRGB), relit.exr (linear light) and
+relight.json; with --turn also turning.mp4, .gif or .webp, in which the light, or the
+environment, goes once around. No shadows are cast.
+"""
+
+import dataclasses
+import functools
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from unips_jax.console import command, parse, progress, start_jax
+from unips_jax.errors import InputError
+from unips_jax.io.color import as_linear, srgb_encode
+from unips_jax.io.images import read_image_file, require_finite, write_exr, write_image
+from unips_jax.io.normals import NormalMap, load_normals
+from unips_jax.io.record import print_line
+from unips_jax.io.results import appearing_at_once, check_target
+from unips_jax.pictures.animation import AnimationFormat, write_animation
+
+RECORD = "relight.json"
+_BRIGHT = 0.9  # linear value that the brightest half a percent is brought to
+_GREY = (0.8, 0.8, 0.8)
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `unips relight`.
+
+    Attributes:
+        result: a folder of results, a normal map or a .npy.
+        output: folder for the pictures.
+        light: direction to a distant light: x right, y up, z to the viewer; by default
+            from the upper left, unless there is an environment.
+        environment: an equirectangular picture, best .hdr or .exr; its middle is behind
+            the object.
+        yaw: turn the environment by so many degrees, counter-clockwise from above.
+        turn: also write a moving picture.
+        frames: of it.
+        fps: its frames per second.
+        base_color: an image of the normals' size in place of the result's base colour;
+            without any the surface is grey.
+        roughness: of the whole surface.
+        metallic: of the whole surface.
+        exposure: brighter by so many stops than the image whose brightest half a
+            percent is just below white.
+        normal_map: green of a normal map is up (opengl) or down (directx).
+        focal: focal length in pixels; without it the camera is orthographic.
+    """
+
+    result: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RESULT")]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+    light: tuple[float, float, float] | None = None
+    environment: Path | None = None
+    yaw: float = 0.0
+    turn: AnimationFormat | None = None
+    frames: int = 48
+    fps: float = 24.0
+    base_color: Path | None = None
+    roughness: float = 0.6
+    metallic: float = 0.0
+    exposure: float = 0.0
+    normal_map: NormalMap = "opengl"
+    focal: float | None = None
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """`unips relight`."""
+    options = parse(Options, argv, prog="unips relight", description=__doc__)
+    _check(options)
+    normals = _unit(load_normals(options.result, options.normal_map))
+    base_color, source = _base_color(options, normals.shape[:2])
+    environment = None
+    if options.environment is not None:
+        environment = _linear(options.environment)
+    start_jax()
+    render = _renderer(options, normals, base_color, environment)
+    with appearing_at_once(options.output, record=RECORD) as place:
+        image = render(0.0)
+        gain = _gain(image, normals) * 2**options.exposure
+        write_image(place / "relit.png", _encoded(image * gain))
+        write_exr(place / "relit.exr", {"RGB": image * np.float32(gain)}, _header())
+        if options.turn is not None:
+            path = place / f"turning.{options.turn}"
+            write_animation(path, _frames(options, render, gain), fps=options.fps)
+        names = sorted(file.name for file in place.iterdir())
+        record = {
+            "normals": str(options.result),
+            "base_color": source,
+            "light": None if options.environment else _direction(options),
+            "environment": str(options.environment) if options.environment else None,
+            "gain": gain,
+            "options": {
+                name: getattr(options, name)
+                for name in ("yaw", "roughness", "metallic", "exposure", "focal")
+            },
+            "files": names,
+        }
+        text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
+        (place / RECORD).write_bytes(text.encode(errors="backslashreplace"))
+    print_line("surface", f"base colour: {source}")
+    print_line("wrote", f"{options.output}/: {', '.join([*names, RECORD])}")
+
+
+def _check(options: Options) -> None:
+    if options.light is not None:
+        if options.environment is not None:
+            raise InputError(
+                "--light: expected one kind of light, got --environment too; leave one "
+                "out"
+            )
+        length = math.hypot(*options.light)
+        if not (math.isfinite(length) and length > 0):
+            raise InputError(
+                f"--light: expected a direction, not 0, got {options.light}"
+            )
+    for name, low, high in (
+        *(("roughness", 0.03, 1.0), ("metallic", 0.0, 1.0)),
+        *(("frames", 2, 10000), ("fps", 0.1, 1000), ("exposure", -20, 20)),
+    ):
+        value = getattr(options, name)
+        if not low <= value <= high:
+            raise InputError(f"--{name}: expected {low} to {high}, got {value}")
+    if options.focal is not None and not 0 < options.focal < math.inf:
+        raise InputError(f"--focal: expected pixels above 0, got {options.focal}")
+    if not math.isfinite(options.yaw):
+        raise InputError(f"--yaw: expected degrees, got {options.yaw}")
+    check_target(options.output, options.result, record=RECORD)
+
+
+def _direction(options: Options) -> tuple[float, float, float]:
+    return options.light or (-1.0, 1.0, 1.5)
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    """Unit normals; 0 where there is none."""
+    normals = np.nan_to_num(normals, nan=0.0, posinf=0.0, neginf=0.0)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return normals / np.where(length > 1e-3, length, np.inf)
+
+
+def _linear(path: Path) -> np.ndarray:
+    """An image file's linear light, `[h, w, 3]`."""
+    file = read_image_file(path)
+    require_finite(path, file.pixels)
+    linear = as_linear(file.pixels, file.encoding.transfer)
+    return np.broadcast_to(linear, (*linear.shape[:2], 3))
+
+
+def _base_color(options: Options, size: tuple[int, int]) -> tuple[np.ndarray, str]:
+    """The base colour, and in words where it is from."""
+    path = options.base_color
+    if path is None:
+        path = options.result / "base_color.exr"
+        if not path.is_file():
+            return np.array(_GREY, np.float32), "grey, none given"
+    color = _linear(path)
+    if color.shape[:2] != size:
+        raise InputError(
+            f"{path}: expected the normals' size, {size[1]} x {size[0]}, got "
+            f"{color.shape[1]} x {color.shape[0]}; resize it"
+        )
+    return np.clip(color, 0, 1), str(path)
+
+
+def _renderer(
+    options: Options,
+    normals: np.ndarray,
+    base_color: np.ndarray,
+    environment: np.ndarray | None,
+) -> Callable[[float], np.ndarray]:
+    """The image as a function of how far the light has gone around, in degrees."""
+    import jax
+    import jax.numpy as jnp
+
+    from unips_jax.lighting.environment import turned
+    from unips_jax.lighting.relight import DistantLights, Materials, relight
+
+    x, y, z = _direction(options)
+
+    @jax.jit
+    def render(normals, base_color, environment, degrees):
+        materials = Materials(base_color, options.roughness, options.metallic)
+        show = functools.partial(relight, normals, materials, focal=options.focal)
+        if environment is not None:
+            return show(environment=turned(environment, options.yaw + degrees))
+        angle = jnp.deg2rad(degrees)
+        cos, sin = jnp.cos(angle), jnp.sin(angle)
+        light = jnp.stack([x * cos - y * sin, x * sin + y * cos, jnp.full((), z)])
+        light = light / jnp.linalg.norm(light)
+        return show(DistantLights(light[None], jnp.full((1, 3), jnp.pi)))
+
+    return lambda degrees: np.asarray(
+        render(normals, base_color, environment, np.float32(degrees))
+    )
+
+
+def _frames(
+    options: Options, render: Callable[[float], np.ndarray], gain: float
+) -> Iterator[np.ndarray]:
+    with progress("relighting") as report:
+        for index in range(options.frames):
+            yield _encoded(render(360 * index / options.frames) * gain)
+            report(index + 1, options.frames)
+
+
+def _gain(image: np.ndarray, normals: np.ndarray) -> float:
+    values = image[(normals != 0).any(-1)]
+    if not values.size:
+        raise InputError(
+            "expected normals that are not 0 somewhere, got none; give others"
+        )
+    return _BRIGHT / max(float(np.quantile(values, 0.995)), 1e-6)
+
+
+def _encoded(image: np.ndarray) -> np.ndarray:
+    return np.round(255 * srgb_encode(image)).astype(np.uint8)
+
+
+def _header() -> dict[str, Any]:
+    import OpenEXR
+
+    return {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

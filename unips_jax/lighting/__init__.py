@@ -1,0 +1,1 @@
+"""Light and reflectance: relighting, lights from photographs, RTI, materials."""

@@ -1,0 +1,68 @@
+"""Moving pictures: MP4, GIF and WebP."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+AnimationFormat = Literal["mp4", "gif", "webp"]
+# VP9 plays in browsers; not every build of OpenCV has it, but each has the other.
+_CODECS = ("vp09", "mp4v")
+
+
+def write_animation(path: Path, frames: Iterable[np.ndarray], *, fps: float) -> None:
+    """Writes frames as they come; GIF and WebP repeat for ever.
+
+    Args:
+        path: where; the suffix, `.mp4`, `.gif` or `.webp`, chooses the format. MP4s
+            have even sides: a last black row or column is added where needed.
+        frames: `[H, W, 3]` each, uint8, at least one.
+        fps: frames per second.
+
+    Raises:
+        OSError: if no encoder takes the frames.
+    """
+    if path.suffix.lower() == ".mp4":
+        _write_mp4(path, frames, fps)
+        return
+    from PIL import Image
+
+    pictures = (Image.fromarray(frame) for frame in frames)
+    first = next(pictures)
+    first.save(
+        path,
+        save_all=True,
+        append_images=pictures,
+        duration=round(1000 / fps),
+        loop=0,
+        quality=85,  # of WebP
+    )
+
+
+def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
+    import cv2
+
+    writer = None
+    try:
+        for frame in frames:
+            height, width, _ = frame.shape
+            even = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)))
+            if writer is None:
+                writer = _writer(path, fps, even.shape[1::-1])
+            writer.write(cv2.cvtColor(even, cv2.COLOR_RGB2BGR))
+    finally:
+        if writer is not None:
+            writer.release()
+
+
+def _writer(path: Path, fps: float, size: tuple[int, ...]) -> Any:
+    import cv2
+
+    for codec in _CODECS:
+        writer = cv2.VideoWriter(
+            str(path), cv2.VideoWriter.fourcc(*codec), fps, tuple(size)
+        )
+        if writer.isOpened():
+            return writer
+    raise OSError("OpenCV has no encoder for MP4 here; take gif or webp")
