@@ -333,9 +333,24 @@ class SelfCalibratingConfig(ModelConfig):
 _NETWORKS = {"unips": UniPSConfig, "self_calibrating": SelfCalibratingConfig}
 
 
+# Fields that came later, at the value that changes nothing: left out of JSON, so that
+# the hash of weights that have no use for them stays what it was.
+_LATER = {"head_dim": 0}
+
+
 def to_json(config: Any) -> str:
     """Writes a configuration dataclass as JSON text."""
-    return json.dumps(dataclasses.asdict(config), sort_keys=True)
+    return json.dumps(
+        dataclasses.asdict(config, dict_factory=_without_later), sort_keys=True
+    )
+
+
+def _without_later(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {
+        name: value
+        for name, value in items
+        if name not in _LATER or value != _LATER[name]
+    }
 
 
 def from_json(cls: type[_T], text: str) -> _T:
