@@ -15,6 +15,7 @@ COMMANDS = {
     "train": ("train", "train the network"),
     "surface": ("cli.surface", "depth and a mesh from normals"),
     "relight": ("cli.relight", "images of normals and materials under new light"),
+    "view": ("cli.view", "a result as an HTML file to look at"),
     "validate": ("cli.validate", "score weights on held-out scenes"),
     "eval": ("cli.eval", "evaluate UniPS and other methods on benchmarks"),
     "render": ("cli.render", "make scenes with known normals"),

@@ -26,6 +26,7 @@ from unips_jax.io.masks import read_mask
 from unips_jax.io.normals import NormalMap, load_normals, read_array
 from unips_jax.io.record import print_line
 from unips_jax.io.results import appearing_at_once, check_target
+from unips_jax.surface.files import read_depth
 from unips_jax.surface.mesh import check_mesh_file
 from unips_jax.surface.outputs import (
     MeshFormat,
@@ -147,29 +148,9 @@ def _check(options: Options) -> None:
 
 
 def _prior(path: Path, size: tuple[int, int]) -> np.ndarray:
-    prior = read_array(path) if path.suffix == ".npy" else _depth(path)
+    prior = read_array(path) if path.suffix == ".npy" else read_depth(path)
     _check_size(path, prior.shape, size)
     return prior
-
-
-def _depth(path: Path) -> np.ndarray:
-    """Channel Z of an EXR, which images' readers do not know."""
-    import OpenEXR
-
-    if not path.is_file() or path.read_bytes()[:4] != b"\x76\x2f\x31\x01":
-        raise InputError(
-            f"{path}: expected depth as an EXR with channel Z, or a .npy, got another "
-            "file or none; convert it"
-        )
-    try:
-        channels = OpenEXR.File(str(path)).channels()
-    except Exception as error:  # the library raises what it likes
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    if "Z" not in channels:
-        raise InputError(
-            f"{path}: expected the channel Z, got {', '.join(channels)}; rename it"
-        )
-    return channels["Z"].pixels.astype(np.float32)
 
 
 def _check_size(path: Path, got: tuple[int, ...], expected: tuple[int, int]) -> None:

@@ -60,6 +60,7 @@ _CODE = (
     "io.normals",
     "pictures.estimate_sheet",
     "surface.outputs",
+    "viewer.page",
 )
 
 
@@ -298,12 +299,36 @@ def write_estimate(
             )
             if verbose:
                 print_surface(record["surface"])
+        if options.view:
+            _write_view(place, target.name, estimate, record)
         if more is not None:
             more(place)
         names = write_record(place, record)
     if verbose:
         print_line("wrote", f"{target}/: {', '.join(names)}")
     return record
+
+
+def _write_view(
+    place: Path, title: str, estimate: Estimate, record: dict[str, Any]
+) -> None:
+    """Writes `view.html`; its depth is that of the files, if there is one."""
+    from unips_jax.surface.files import read_depth
+    from unips_jax.viewer.page import with_depth, write_view
+    from unips_jax.viewer.result import Result, photographs_of
+
+    surface = record.get("surface") or {}
+    names = tuple(record["images"])
+    result = Result(
+        title,
+        estimate.normals,
+        photographs_of(estimate.images, names, estimate.transfer),
+        read_depth(place / "depth.exr") if surface else None,
+        unit=surface.get("unit", "pixels"),
+        focal=surface.get("focal_px"),
+        record=record,
+    )
+    write_view(place / "view.html", with_depth(result))
 
 
 def _network(config: ModelConfig, params: Any, name: str, *, trained: bool) -> Network:

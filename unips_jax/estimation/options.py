@@ -38,6 +38,7 @@ class FolderOptions:
         normal_map: green of PNG and EXR is up (opengl) or down (directx).
         depth: also write depth.exr, depth.png and height.png; see `unips surface`.
         mesh: also write a mesh, and the depth.
+        view: also write view.html, to look at in a browser; see `unips view`.
         focal: focal length of the depth's camera in pixels, or exif, of the first
             photograph; without it the camera is orthographic.
     """
@@ -58,6 +59,7 @@ class FolderOptions:
     normal_map: NormalMap = "opengl"
     depth: bool = False
     mesh: MeshFormat | None = None
+    view: bool = False
     focal: str | None = None
 
     def check(self) -> None:

@@ -12,7 +12,40 @@ from typing import Any
 
 import numpy as np
 
+from unips_jax.errors import InputError
+
 _TOP = 65535
+_EXR = b"\x76\x2f\x31\x01"
+
+
+def read_depth(path: Path) -> np.ndarray:
+    """Reads `depth.exr`, whose channel Z images' readers do not know.
+
+    Args:
+        path: the file.
+
+    Returns:
+        `[H, W]`, float32, as stored.
+
+    Raises:
+        InputError: if it is no EXR, cannot be read or has no channel Z.
+    """
+    import OpenEXR
+
+    if not path.is_file() or path.read_bytes()[:4] != _EXR:
+        raise InputError(
+            f"{path}: expected depth as an EXR with channel Z, or a .npy, got another "
+            "file or none; convert it"
+        )
+    try:
+        channels = OpenEXR.File(str(path)).channels()
+    except Exception as error:  # the library raises what it likes
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    if "Z" not in channels:
+        raise InputError(
+            f"{path}: expected the channel Z, got {', '.join(channels)}; rename it"
+        )
+    return channels["Z"].pixels.astype(np.float32)
 
 
 def write_depth(folder: Path, depth: np.ndarray, *, unit: str) -> dict[str, Any]:

@@ -1,0 +1,241 @@
+"""A result as the page's pictures: cropped, scaled, and each in one image of 8 bits.
+
+Normals are a PNG of 8 bits a component, half a degree at most from what they were;
+depth is one of 16 bits, the high byte in red, the low one in green, 0 where there is
+none. Smooth surfaces stay small: PNG's filters work on each byte by itself. What is
+scaled down is averaged over the object's pixels alone.
+"""
+
+import base64
+import dataclasses
+import math
+from typing import Any
+
+import cv2
+import matplotlib
+import numpy as np
+
+from unips_jax.io.color import srgb_encode
+from unips_jax.pictures.maps import frame
+from unips_jax.viewer.result import Photograph, Result
+
+MOST_PHOTOGRAPHS = 24
+_JPEG = 82
+_PHOTOGRAPH_SIDES = (1024, 768, 512, 384, 256)
+_WHITE = 99.5  # percentile of the object's brightest channel
+_TOP = 65535
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """Which part of a result is shown, and how large.
+
+    Attributes:
+        rows: of the result.
+        columns: of the result.
+        width: in the page's pixels.
+        height: in the page's pixels.
+    """
+
+    rows: slice
+    columns: slice
+    width: int
+    height: int
+
+    @property
+    def scale(self) -> float:
+        """Pixels of the result per pixel of the page."""
+        return (self.columns.stop - self.columns.start) / self.width
+
+    def shrink(self, values: np.ndarray) -> np.ndarray:
+        """The part's values, `[height, width, ...]`, float32: means over areas."""
+        part = np.ascontiguousarray(values[self.rows, self.columns], np.float32)
+        if part.shape[:2] == (self.height, self.width):
+            return part
+        size = (self.width, self.height)
+        return cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+
+    def shrink_inside(self, values: np.ndarray, inside: np.ndarray) -> np.ndarray:
+        """The same, over the pixels inside alone; 0 where there are none."""
+        where = inside if values.ndim == 2 else inside[..., None]
+        total = self.shrink(np.where(where, values, 0))
+        share = self.shrink(inside)
+        share = share if values.ndim == 2 else share[..., None]
+        return total / np.maximum(share, 1e-6)
+
+
+def view_of(inside: np.ndarray, side: int) -> View:
+    """The object with a margin.
+
+    Args:
+        inside: `[H, W]`, bool, with at least one pixel.
+        side: limit of the longer side, in pixels.
+    """
+    rows, columns = frame(inside)
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    scale = max(1.0, max(height, width) / side)
+    return View(
+        rows, columns, max(round(width / scale), 1), max(round(height / scale), 1)
+    )
+
+
+def layers_of(result: Result, view: View) -> dict[str, Any]:
+    """Everything but the photographs, as JSON values.
+
+    Args:
+        result: what to show.
+        view: which part.
+    """
+    kept = view.shrink(result.inside) > 0.5
+    normals = view.shrink_inside(result.normals, result.inside)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.where(kept[..., None], normals / np.maximum(length, 1e-6), 0)
+    shape = result.normals.shape
+    column = ((shape[1] - 1) / 2 - view.columns.start + 0.5) / view.scale - 0.5
+    row = ((shape[0] - 1) / 2 - view.rows.start + 0.5) / view.scale - 0.5
+    focal = None if result.focal is None else result.focal / view.scale
+    return {
+        "width": view.width,
+        "height": view.height,
+        "scale": view.scale,
+        "camera": {"focal": focal, "column": column, "row": row},
+        "normals": png(np.rint(normals * 127.5 + 127.5).astype(np.uint8)),
+        "depth": None if result.depth is None else _depth(result, view),
+        "confidence": _error(result, view, kept),
+        "palettes": {"depth": _palette("viridis"), "confidence": _palette("inferno")},
+    }
+
+
+def _depth(result: Result, view: View) -> dict[str, Any] | None:
+    assert result.depth is not None
+    there = np.isfinite(result.depth)
+    kept = view.shrink(there) > 0.5
+    if not kept.any():
+        return None
+    depth = view.shrink_inside(result.depth, there)
+    near, far = float(depth[kept].min()), float(depth[kept].max())
+    share = (depth - near) / ((far - near) or 1.0)
+    levels = np.where(kept, 1 + np.rint(share * (_TOP - 1)), 0).astype(np.uint16)
+    bytes_ = np.stack([levels >> 8, levels & 255, np.zeros_like(levels)], -1)
+    return {
+        "image": png(bytes_.astype(np.uint8)),
+        "near": near,
+        "far": far,
+        "unit": result.unit,
+        "pixel": result.pixel_size * view.scale,
+    }
+
+
+def _error(result: Result, view: View, kept: np.ndarray) -> dict[str, Any] | None:
+    if result.expected_error is None:
+        return None
+    there = result.inside & np.isfinite(result.expected_error)
+    error = view.shrink_inside(np.nan_to_num(result.expected_error), there)
+    top = max(float(np.percentile(error[kept], 99)), 1.0) if kept.any() else 1.0
+    levels = np.rint(255 * np.clip(error / top, 0, 1) * kept).astype(np.uint8)
+    return {"image": png(np.repeat(levels[..., None], 3, -1)), "top": top}
+
+
+def color_of(result: Result, view: View, mean: np.ndarray | None) -> dict | None:
+    """The object's colours: base colour if there is one, else the mean photograph.
+
+    Args:
+        result: what to show.
+        view: which part.
+        mean: `[height, width, 3]`, linear, of the photographs; None without any.
+    """
+    if result.base_color is not None:
+        linear, kind = view.shrink(result.base_color), "base"
+    elif mean is not None:
+        inside = view.shrink(result.inside) > 0.5
+        linear, kind = mean / _white(mean, inside), "mean"
+    else:
+        return None
+    return {"image": _jpeg(_encoded(linear), max(linear.shape)), "kind": kind}
+
+
+def photographs_as_pictures(
+    photographs: tuple[Photograph, ...], view: View, inside: np.ndarray
+) -> tuple[list[tuple[str, np.ndarray]], np.ndarray | None]:
+    """Reads all photographs, one by one.
+
+    Args:
+        photographs: the files.
+        view: which part.
+        inside: `[H, W]`, bool.
+
+    Returns:
+        Names and pictures, `[height, width, 3]`, uint8, of at most 24 of them, evenly
+        chosen, and the mean of all, linear.
+    """
+    if not photographs:
+        return [], None
+    count = min(len(photographs), MOST_PHOTOGRAPHS)
+    shown = set(np.linspace(0, len(photographs) - 1, count).round().astype(int))
+    object_ = view.shrink(inside) > 0.5
+    mean = np.zeros((view.height, view.width, 3), np.float32)
+    pictures = []
+    for index, photograph in enumerate(photographs):
+        linear = view.shrink(photograph.read())
+        if photograph.bright:
+            linear = linear / _white(linear, object_)
+        mean += linear / len(photographs)
+        if index in shown:
+            pictures.append((photograph.name, _encoded(linear)))
+    return pictures, mean
+
+
+def packed_photographs(
+    pictures: list[tuple[str, np.ndarray]], budget: int
+) -> list[dict[str, str]]:
+    """Photographs as JPEG, as large as a number of bytes allows.
+
+    Args:
+        pictures: from `photographs_as_pictures`.
+        budget: in bytes, for all of them.
+    """
+    packed: list[dict[str, str]] = []
+    for side in _PHOTOGRAPH_SIDES:
+        packed = [{"name": n, "image": _jpeg(p, side)} for n, p in pictures]
+        if sum(len(p["image"]) for p in packed) <= budget:
+            break
+    return packed
+
+
+def png(pixels: np.ndarray) -> str:
+    """An image as a PNG in a `data:` address.
+
+    Args:
+        pixels: `[H, W, 3]`, uint8.
+    """
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 6]  # 9 takes ten times as long
+    data = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]), options)[1]
+    return _address("png", data.tobytes())
+
+
+def _jpeg(pixels: np.ndarray, side: int) -> str:
+    scale = min(1.0, side / max(pixels.shape[:2]))
+    if scale < 1:
+        size = [max(1, math.floor(length * scale)) for length in pixels.shape[1::-1]]
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG]
+    data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), options)[1]
+    return _address("jpeg", data.tobytes())
+
+
+def _address(kind: str, data: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def _encoded(linear: np.ndarray) -> np.ndarray:
+    return np.rint(255 * srgb_encode(np.clip(linear, 0, 1))).astype(np.uint8)
+
+
+def _white(linear: np.ndarray, inside: np.ndarray) -> float:
+    values = linear[inside] if inside.any() else linear.reshape(-1, 3)
+    return max(float(np.percentile(values.max(axis=-1), _WHITE)), 1e-12)
+
+
+def _palette(name: str) -> list[list[float]]:
+    colors = matplotlib.colormaps[name](np.linspace(0, 1, 16))[:, :3]
+    return np.round(colors, 4).tolist()
