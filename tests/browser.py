@@ -10,7 +10,8 @@ from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+_NAMES = ("google-chrome", "chromium", "chromium-browser")
+CHROMIUM = next(filter(None, map(shutil.which, _NAMES)), None)
 DRIVER = shutil.which("chromedriver")
 # The CI installs both: there a test that cannot run fails.
 ABSENT = (CHROMIUM is None or DRIVER is None) and "CI" not in os.environ

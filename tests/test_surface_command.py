@@ -127,16 +127,17 @@ def test_estimate_writes_depth_and_mesh(tmp_path):
         image = rng.integers(40, 200, (40, 44, 3), np.uint8)
         cv2.imwrite(str(folder / f"{index}.png"), image)
     arguments = [str(folder), "-o", str(tmp_path / "out"), "--mesh", "obj"]
-    assert estimate([*arguments, "--focal", "80"]) == 0
+    assert estimate([*arguments, "--focal", "80", "--view"]) == 0
     out = tmp_path / "out" / "thing"
     record = json.loads((out / "normals.json").read_text())
     names = {"depth.exr", "depth.png", "height.png", "mesh.obj", "normals.npy"}
+    names |= {"view.html"}
     assert names <= set(record["files"])
     assert record["surface"]["camera"] == "perspective"
     assert record["surface"]["focal_px"] == 80
     depth = read_depth(out)
     assert np.exp(np.log(depth).mean()) == pytest.approx(1, abs=1e-4)
-    assert estimate([*arguments, "--focal", "80"]) == 0  # up to date
+    assert estimate([*arguments, "--focal", "80", "--view"]) == 0  # up to date
     # The results are no photographs, should they be read as a folder of them.
     (out / "photo.png").write_bytes((folder / "0.png").read_bytes())
     assert select(out).names == ("photo.png",)

@@ -26,7 +26,7 @@ from unips_jax.scenes.environments import TABLE_SIZE, directions_of, load_tables
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "tools" / "viewer"
 ASSETS = ROOT / "unips_jax" / "viewer" / "assets"
-ENVIRONMENTS = {"studio": 12, "forest": 5, "lobby": 8, "sunset": 14}
+ENVIRONMENTS = {"workshop": 15, "forest": 5, "lobby": 8, "sunset": 12}
 """Numbers in the tables, which are sorted by name."""
 
 

@@ -164,6 +164,7 @@ function connectTools(stage, measure) {
   const turn = (on) => {
     if (!stage.controls) return;
     stage.controls.autoRotate = on;
+    stage.drawnAt = undefined; // the time until now was no frame
     describe();
     stage.changed();
   };
@@ -193,6 +194,7 @@ function connectTools(stage, measure) {
   byId("farther").addEventListener("click", () => stage.zoomBy(0.8));
   byId("whole").addEventListener("click", () => stage.showWhole());
   byId("turning").addEventListener("click", () => turn(!stage.controls.autoRotate));
+  stage.onTooSlow = () => turn(false);
   return { describe, stopTurning: () => stage.controls?.autoRotate && turn(false) };
 }
 

@@ -13,6 +13,7 @@ class Stage {
     this.split = 1; // share of the width that shows the left layer
     this.mode = "picture";
     this.onDrawn = () => {};
+    this.onTooSlow = () => {};
     this.depthBytes = depthBytes;
     this.flat = new THREE.Mesh(flatGeometry(), this.left);
     this.scene = new THREE.Scene();
@@ -144,6 +145,17 @@ class Stage {
     });
   }
 
+  /** Asks for the next frame, unless they take so long that nothing else gets done. */
+  goOnTurning() {
+    const now = performance.now();
+    const late = now - (this.drawnAt ?? now) > SLOW_MS;
+    this.drawnAt = now;
+    this.slow = late ? (this.slow ?? 0) + 1 : 0;
+    if (this.slow < SLOW_FRAMES) return this.changed();
+    this.slow = 0;
+    this.onTooSlow();
+  }
+
   draw() {
     if (!this.size) return;
     const [width, height] = this.size;
@@ -175,9 +187,12 @@ class Stage {
       this.renderer.render(this.scene, camera);
     }
     this.onDrawn();
-    if (this.mode === "surface" && this.controls.autoRotate) this.changed();
+    if (this.mode === "surface" && this.controls.autoRotate) this.goOnTurning();
   }
 }
+
+const SLOW_MS = 300; // a frame
+const SLOW_FRAMES = 3;
 
 /** The picture's rectangle: a pixel is 1 x 1, the first row on top, at y = 0. */
 function flatGeometry() {
