@@ -1,6 +1,7 @@
 """What a network with heads says beside the normals, and how it learns to."""
 
 import dataclasses
+import json
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from unips_jax.models.heads import Maps
 from unips_jax.scenes import render_scene
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.training import loss as losses
+from unips_jax.training import map_scores
 from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 from unips_jax.training.loop import train
 from unips_jax.weights import save_weights
@@ -184,8 +186,44 @@ def test_heads_begin_on_weights_that_have_none(tmp_path):
     heads = trained.pop("heads")
     jax.tree.map(np.testing.assert_array_equal, trained, plain)
     lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
-    first, *_, last = [line for line in map(__import__("json").loads, lines)]
+    first, *_, last = map(json.loads, lines)
     assert last["error"] < first["error"] and last["material"] < first["material"]
     assert (
         heads.keys() == jax.eval_shape(lambda: lively_weights(CONFIG))["heads"].keys()
+    )
+
+
+def test_scores_of_what_is_said():
+    rng = np.random.default_rng(0)
+    said = rng.uniform(1, 60, 40_000)
+    # Of an exponential distribution nine in ten are below ln 10 of its means.
+    errors = rng.exponential(said / np.log(10))
+    found = map_scores.calibration(said, errors)
+    np.testing.assert_allclose(found["right"], 90, atol=1.5)
+    assert sum(found["pixels"][:-1]) == pytest.approx(100)
+    assert found["ninth"][0] < 5 and 10 < found["ninth"][2] < 20
+    kept = map_scores.sparsification(said, errors)
+    assert kept["kept 100%"] == pytest.approx(errors.mean())
+    assert kept["best 50%"] < kept["kept 50%"] < 0.7 * errors.mean()
+    blind = map_scores.sparsification(rng.random(said.size), errors)
+    assert blind["kept 50%"] == pytest.approx(errors.mean(), rel=0.05)
+
+
+def test_colours_count_up_to_scale():
+    true = np.random.default_rng(1).random((500, 3))
+    assert map_scores.color_psnr(true * 7, true) > 90
+    off = true + np.where(np.arange(500) % 2, 0.1, -0.1)[:, None]
+    assert map_scores.color_psnr(off, true) == pytest.approx(20, abs=0.5)
+    assert map_scores.color_psnr(0 * true, true) < 6
+
+
+def test_maps_are_scored_beside_floors(params):
+    found = map_scores.score_maps(
+        params, CONFIG, SceneConfig(), count=1, num_images=2, size=16
+    )
+    assert found["base_color"].keys() == {"maps", "mean photograph", "one grey"}
+    assert all(
+        np.isfinite(list(found[name].values())).all()
+        for name in found
+        if name != "calibration"
     )

@@ -4,8 +4,9 @@ The scenes come from keys that training never uses. A table has a row for all sc
 one for a constant normal towards the viewer, and one for every kind of light, material,
 shape and camera; a column for each number of images.
 
-With --real it is photographs, spheres and masks that miss them instead, a column for
-each of the weights: the yardstick by which weights are chosen.
+With --maps it is what the network says beside the normals: how far off they may be,
+and the material. With --real it is photographs, spheres and masks that miss them, a
+column for each of the weights: the yardstick by which weights are chosen.
 """
 
 import dataclasses
@@ -29,6 +30,7 @@ class Options:
     Attributes:
         weights: shipped weights or .safetensors files; one, unless with --real.
         real: score on photographs instead of scenes.
+        maps: score the error and the materials that the network tells, on scenes.
         photographs: with --real: holds diligent_dev and photos; what is not there is
             skipped.
         ps_wild: with --real: sets that `unips render` wrote.
@@ -43,6 +45,7 @@ class Options:
 
     weights: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE")] = ("tiny",)
     real: bool = False
+    maps: bool = False
     photographs: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("../shared")
     ps_wild: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR")] = ()
     scenes: int = 256
@@ -70,6 +73,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     start_jax()
     if options.real:
         return _validate_real(options)
+    if options.maps:
+        return _validate_maps(options)
     from unips_jax.training.validation import validate
     from unips_jax.weights import load_weights
 
@@ -119,6 +124,47 @@ def _validate_real(options: Options) -> None:
             for name, figures in real_sets.table_rows(found)
         ],
     )
+
+
+def _validate_maps(options: Options) -> None:
+    from unips_jax.training.map_scores import EDGES, score_maps
+    from unips_jax.weights import load_weights
+
+    model, params = load_weights(options.weights[0])
+    if not model.has_maps:
+        raise InputError(
+            f"--maps, --weights {options.weights[0]}: expected a network with heads, "
+            "got one without"
+        )
+    for num_images in dict.fromkeys(options.images):
+        found = score_maps(
+            params,
+            model,
+            SceneConfig(),
+            count=options.scenes,
+            num_images=num_images,
+            size=options.size,
+        )
+        if options.json:
+            print(json.dumps({"images": num_images, **found}), flush=True)
+            continue
+        said = [f"{a:.0f} to {b:.0f}" for a, b in zip(EDGES, EDGES[1:], strict=False)]
+        rows = zip([*said, "all"], *found.pop("calibration").values(), strict=True)
+        print_table(
+            "degrees below which nine errors in ten are to be, "
+            f"{options.scenes} held-out scenes, {num_images} images",
+            ["said", "% of pixels", "% of them right", "nine in ten are below"],
+            [[name, *(f"{value:.1f}" for value in row)] for name, *row in rows],
+        )
+        print_table(
+            "mean angular error of the most certain pixels; materials beside floors",
+            ["", "figure"],
+            [
+                [f"{group}: {name}", f"{value:.2f}"]
+                for group, figures in found.items()
+                for name, value in figures.items()
+            ],
+        )
 
 
 def _print(options: Options, columns: dict[int, dict[str, float]]) -> None:

@@ -38,6 +38,25 @@ def held_out_key(index: int) -> jax.Array:
     return jax.random.fold_in(jax.random.key(_HELD_OUT_SEED), index)
 
 
+def held_out_scenes(
+    scenes: SceneConfig,
+    *,
+    count: int,
+    num_images: int,
+    size: int,
+    **scene_options: Any,
+) -> Iterator[Scene]:
+    """Held-out scenes; arguments as in `validate`."""
+    for index in range(count):
+        yield _render(
+            held_out_key(index),
+            size=size,
+            num_images=num_images,
+            config=scenes,
+            **scene_options,
+        )
+
+
 def estimate_held_out(
     params: Any,
     model: ModelConfig,
@@ -49,18 +68,11 @@ def estimate_held_out(
     **scene_options: Any,
 ) -> Iterator[tuple[Scene, jax.Array]]:
     """Held-out scenes and their estimated normals; arguments as in `validate`."""
-    for index in range(count):
-        scene = _render(
-            held_out_key(index),
-            size=size,
-            num_images=num_images,
-            config=scenes,
-            **scene_options,
-        )
-        yield (
-            scene,
-            estimate_normals(params, scene.images, scene.mask, config=model),
-        )
+    drawn = held_out_scenes(
+        scenes, count=count, num_images=num_images, size=size, **scene_options
+    )
+    for scene in drawn:
+        yield scene, estimate_normals(params, scene.images, scene.mask, config=model)
 
 
 def validate(
