@@ -7,6 +7,7 @@ all of a folder's files appear or none; started again, the command does what is 
 """
 
 import dataclasses
+import functools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,9 +15,11 @@ from typing import Annotated
 
 import tyro
 
+from unips_jax.cli.cluster import RayOptions, spread
 from unips_jax.console import command, parse, reason_of, start_jax
 from unips_jax.errors import InputError
 from unips_jax.estimation.folders import (
+    Network,
     estimate_folder,
     load_network,
     random_network,
@@ -38,6 +41,7 @@ class Options:
         overwrite: also estimate what the same photographs, weights and options gave
             before.
         how: how photographs are read, and what is written.
+        where: where folders are worked on.
     """
 
     folders: Annotated[
@@ -49,6 +53,7 @@ class Options:
     random_weights: bool = False
     overwrite: bool = False
     how: Annotated[FolderOptions, tyro.conf.arg(name="")] = FolderOptions()
+    where: Annotated[RayOptions, tyro.conf.arg(name="")] = RayOptions()
 
 
 @command
@@ -57,14 +62,18 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = parse(Options, argv, prog="unips estimate", description=__doc__)
     targets = _targets(options)
     options.how.check()
+    options.where.check()
     for folder, target in targets.items():
         check_target(target, folder)
-    start_jax()
     clear_leftovers(options.output)
-    if options.random_weights:
-        network = random_network(options.how.seed)
-    else:
-        network = load_network(options.weights)
+    if options.where.ray:
+        pieces = [(str(f), (f, target, options)) for f, target in targets.items()]
+        reasons = spread(_estimate_one, pieces, options.where, "estimating")
+        for reason in reasons.values():
+            print(f"error: {reason}", file=sys.stderr)
+        return _report(list(reasons), targets, options.output)
+    start_jax()
+    network = _network(options)
     failed = []
     for folder, target in targets.items():
         try:
@@ -85,10 +94,31 @@ def main(argv: Sequence[str] | None = None) -> None:
             text = reason_of(error) or f"{folder}: {type(error).__name__}: {error}"
             print(f"error: {' '.join(text.split())}", file=sys.stderr)
             failed.append(str(folder))
+    _report(failed, targets, options.output)
+
+
+def _network(options: Options) -> Network:
+    if options.random_weights:
+        return random_network(options.how.seed)
+    return load_network(options.weights)
+
+
+_cached_network = functools.lru_cache(maxsize=1)(_network)
+
+
+def _estimate_one(piece: tuple[Path, Path, Options]) -> None:
+    """One folder, in a process that may have had others before."""
+    folder, target, options = piece
+    start_jax()
+    network = _cached_network(dataclasses.replace(options, folders=()))
+    estimate_folder(folder, target, network, options.how, overwrite=options.overwrite)
+
+
+def _report(failed: list[str], targets: dict[Path, Path], output: Path) -> None:
     if failed:
         raise InputError(
             f"{len(failed)} of {len(targets)} folders gave no normals: "
-            f"{', '.join(failed)}; the others are in {options.output}"
+            f"{', '.join(failed)}; the others are in {output}"
         )
 
 

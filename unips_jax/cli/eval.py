@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 
+from unips_jax.cli.cluster import RayOptions, spread
 from unips_jax.console import (
     command,
     one_of,
@@ -58,6 +59,7 @@ class Options:
         uniform_contexts: also with contexts that are uniform over space (the paper's
             Table 5).
         no_pictures: tables only, no sheets and no report.
+        where: where objects are worked on.
     """
 
     benchmark: Annotated[str, one_of(list(BENCHMARKS))]
@@ -82,12 +84,21 @@ class Options:
     canonical_size: _Several[int] = ()
     uniform_contexts: bool = False
     no_pictures: bool = False
+    where: Annotated[RayOptions, tyro.conf.arg(name="")] = RayOptions()
 
 
 @command
 def main(argv: Sequence[str] | None = None) -> None:
     """`unips eval`."""
     options = parse(Options, argv, prog="unips eval", description=__doc__)
+    plan, store = _plan(options), Store(options.workdir)
+    if options.where.ray:
+        _spread(plan, store, options)
+    typed = shlex.join(["unips", "eval", *(sys.argv[1:] if argv is None else argv)])
+    _evaluate(plan, store, typed, pictures=not options.no_pictures)
+
+
+def _plan(options: Options) -> runner.Plan:
     workdir = options.workdir
     _check_options(options)
     benchmark = open_benchmark(options.benchmark, options.root, objects=options.objects)
@@ -113,14 +124,37 @@ def main(argv: Sequence[str] | None = None) -> None:
     fingerprints = list(
         track(runner.check_data(benchmark), "checking data", total=len(benchmark))
     )
-    plan = runner.Plan(
+    return runner.Plan(
         benchmark, variants, protocol, counts, options.seed, fingerprints
     )
-    typed = shlex.join(["unips", "eval", *(sys.argv[1:] if argv is None else argv)])
-    _evaluate(plan, Store(workdir), typed, pictures=not options.no_pictures)
+
+
+def _spread(plan: runner.Plan, store: Store, options: Options) -> None:
+    """Works on objects anywhere in a cluster; what is done is found in the store."""
+    left = [task for task in runner.tasks_of(plan) if not store.done(task.name)]
+    entries = dict.fromkeys(plan.benchmark.entries[task.index].name for task in left)
+    pieces = [
+        (name, dataclasses.replace(options, objects=(name,), where=RayOptions()))
+        for name in entries
+    ]
+    failed = spread(_evaluate_one, pieces, options.where, "evaluating")
+    if failed:
+        name, reason = next(iter(failed.items()))
+        raise InputError(
+            f"{len(failed)} of {len(pieces)} objects could not be evaluated; {name}: "
+            f"{reason}; the others are in {options.workdir}"
+        )
+
+
+def _evaluate_one(options: Options) -> None:
+    """The tasks of one object."""
+    plan = _plan(options)
+    for _ in runner.execute(plan, runner.tasks_of(plan), Store(options.workdir)):
+        pass
 
 
 def _check_options(options: Options) -> None:
+    options.where.check()
     if options.seed < 0:
         raise InputError(f"--seed: expected 0 or more, got {options.seed}")
     for option in ("method", "num_images"):

@@ -11,12 +11,13 @@ environments and manifest of a set must stay the same.
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
+from unips_jax.cli.cluster import RayOptions, spread
 from unips_jax.console import one_of, parse
-from unips_jax.cycles.command import PRESETS, render
+from unips_jax.cycles.command import PRESETS, plan, render
 from unips_jax.cycles.lighting import LIGHTINGS
 
 
@@ -42,6 +43,7 @@ class Options:
         manifest: CSV with object, material, category and perhaps lighting.
         threads: of the renderer; 0 for all cores.
         sheet: also a picture of the whole set.
+        where: where objects are rendered.
     """
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
@@ -61,6 +63,7 @@ class Options:
     manifest: Path | None = None
     threads: int = 0
     sheet: Path | None = None
+    where: Annotated[RayOptions, tyro.conf.arg(name="")] = RayOptions()
 
 
 def run(argv: Sequence[str] | None = None) -> None:
@@ -76,6 +79,18 @@ def run(argv: Sequence[str] | None = None) -> None:
         description=__doc__,
         negatable=True,
     )
-    given = dataclasses.asdict(options)
-    del given["engine"]
-    render(**given | {"lightings": options.lightings or None})
+    options.where.check()
+    given = dataclasses.asdict(options) | {"lightings": options.lightings or None}
+    del given["engine"], given["where"]
+    if options.where.ray:
+        place = {name: given[name] for name in ("output", "sheet")}
+        asked = {name: value for name, value in given.items() if name not in place}
+        names = [job.name for job in plan(**asked).jobs]
+        pieces = [(name, given | {"sheet": None, "only": name}) for name in names]
+        spread(_render_one, pieces, options.where, "rendering")
+    render(**given)  # what is left, and the sheet
+
+
+def _render_one(given: dict[str, Any]) -> None:
+    """One object, in a process of its own."""
+    render(**given)

@@ -5,7 +5,7 @@
 
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,22 +49,30 @@ def _sizes(option: str, folder: Path, found: list[Path]) -> dict[str, int]:
     }
 
 
-def render(
-    output: Path, *, preset: str = "test", sheet: Path | None = None, **given: Any
-) -> None:
-    """Renders a set.
+class Plan(NamedTuple):
+    """What is to be rendered.
+
+    Attributes:
+        jobs: the objects.
+        chosen: fields of `Settings`; environments may be "blender".
+        threads: of the renderer.
+    """
+
+    jobs: list[assets.Job]
+    chosen: dict[str, Any]
+    threads: int
+
+
+def plan(preset: str = "test", **given: Any) -> Plan:
+    """What a preset and options ask for.
 
     Args:
-        output: the set's folder.
         preset: one of `PRESETS`.
-        sheet: also a picture of the whole set.
         **given: see `cli.render_cycles.Options`; None is the preset's.
 
     Raises:
-        InputError: for bad input, and if objects had to be left out.
+        InputError: for bad input.
     """
-    if sheet is not None:
-        check_picture(sheet, "--sheet")
     chosen: dict[str, Any] = {"objects": 6, "seed": 0, "environments": None}
     chosen |= PRESETS[preset]
     chosen |= {name: value for name, value in given.items() if value is not None}
@@ -100,13 +108,42 @@ def render(
         files["--manifest"] = zlib.crc32(manifest.read_bytes())
     if "lightings" in chosen:
         chosen["lightings"] = tuple(chosen["lightings"])
+    threads = chosen.pop("threads")
+    return Plan(jobs, {**chosen, "files": files}, threads)
+
+
+def render(
+    output: Path,
+    *,
+    preset: str = "test",
+    sheet: Path | None = None,
+    only: str | None = None,
+    **given: Any,
+) -> None:
+    """Renders a set.
+
+    Args:
+        output: the set's folder.
+        preset: one of `PRESETS`.
+        sheet: also a picture of the whole set.
+        only: this object of it alone.
+        **given: see `cli.render_cycles.Options`; None is the preset's.
+
+    Raises:
+        InputError: for bad input, and if objects had to be left out.
+    """
+    if sheet is not None:
+        check_picture(sheet, "--sheet")
+    jobs, chosen, threads = plan(preset, **given)
+    if only is not None:
+        jobs = [job for job in jobs if job.name == only]
     make_folder(output, "-o")
-    with Blender(find_python(), threads=chosen.pop("threads")) as blender:
-        if around is None:
-            chosen["environments"] = ()
+    with Blender(find_python(), threads=threads) as blender:
+        around = chosen["environments"] or ()
         if around == "blender":
-            chosen["environments"] = tuple(blender.ask("environments"))
-        failed = render_set(blender, jobs, Settings(**chosen, files=files), output)
+            around = tuple(blender.ask("environments"))
+        settings = Settings(**chosen | {"environments": around})
+        failed = render_set(blender, jobs, settings, output)
     if sheet is not None and any(output.glob("*/*.data")):
         write_whole(sheet, encode_image(sheet.suffix, contact_sheet(output)))
         print(f"wrote {sheet}")
