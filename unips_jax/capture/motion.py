@@ -20,6 +20,8 @@ _SIDE = 384  # pixels of the longer side, where movement is sought
 _ALL_PAIRS = 12  # photographs
 _ANCHORS = 4  # with which each of more is compared
 _WHITENING = 0.5
+_SMOOTH = 4.0  # pixels: what changes more slowly is light
+_FAINT = 0.005  # of the logarithm, a pixel
 _MARGIN = 0.25  # of the object's box
 _AROUND = 0.1  # weight of what is around the object
 _BLOCKS = 8  # along the longer side
@@ -98,22 +100,21 @@ def grey_of(image: np.ndarray, scale: float) -> np.ndarray:
     return image.astype(np.float32).mean(axis=-1)
 
 
-def _gradient(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The gradient of log values, complex, and how far it is from that of noise."""
-    top = max(float(np.percentile(grey, 99)), 1e-12)
-    log = cv2.GaussianBlur(np.log(grey + 0.03 * top), (0, 0), 1)
-    gradient = cv2.Scharr(log, cv2.CV_32F, 1, 0) + 1j * cv2.Scharr(
-        log, cv2.CV_32F, 0, 1
-    )
-    power = np.abs(gradient) ** 2
-    return gradient, power / (power + 4 * np.median(power) + 1e-3)
-
-
 def edge_field(grey: np.ndarray) -> np.ndarray:
-    """The doubled angle of edges, `[h, w]`, complex; near 0 where there are none."""
-    gradient, strength = _gradient(grey)
-    unit = gradient / np.maximum(np.abs(gradient), 1e-12)
-    return (unit**2 * strength).astype(np.complex64)
+    """The doubled angle of edges, `[h, w]`, complex; near 0 where there are none.
+
+    A pool of light has smooth sides, which move with the lamp: they are taken out.
+    """
+    top = max(float(np.percentile(grey, 99)), 1e-12)
+    log = np.log(grey + 0.03 * top)
+    log = cv2.GaussianBlur(log, (0, 0), 1) - cv2.GaussianBlur(log, (0, 0), _SMOOTH)
+    right, down = (
+        cv2.Scharr(log, cv2.CV_32F, *d, scale=1 / 32) for d in ((1, 0), (0, 1))
+    )
+    gradient = right + 1j * down
+    power = np.abs(gradient) ** 2
+    weakest = 4 * float(np.median(power)) + _FAINT**2
+    return (gradient**2 / (power + weakest)).astype(np.complex64)
 
 
 def _weight(shape: tuple[int, ...], mask: np.ndarray | None) -> np.ndarray:

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 # Each command's module and what it does.
 COMMANDS = {
     "estimate": ("cli.estimate", "normals from folders of photographs"),
+    "check": ("cli.check", "what is wrong with photographs, before an estimate"),
     "train": ("train", "train the network"),
     "surface": ("cli.surface", "depth and a mesh from normals"),
     "relight": ("cli.relight", "images of normals and materials under new light"),

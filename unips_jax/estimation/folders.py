@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax.capture.masks import TRUSTED, suggest_mask
+from unips_jax.capture.check import check_capture
+from unips_jax.capture.masks import TRUSTED
+from unips_jax.capture.prepare import in_place, still, with_suggested_mask
 from unips_jax.console import progress, track
 from unips_jax.errors import InputError
 from unips_jax.estimation.options import FolderOptions
-from unips_jax.io.advice import capture_warnings
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import write_image
 from unips_jax.io.normals import write_normals
@@ -54,7 +55,8 @@ from unips_jax.surface.outputs import (
 # What the results follow from, beside photographs, weights and options.
 _CODE = (
     "estimation.streaming",
-    "capture.masks",
+    "capture.check",
+    "capture.prepare",
     "io.photographs",
     "io.official",
     "io.normals",
@@ -200,13 +202,26 @@ def estimate_selection(
         print_selection(selection)
     reader = HashingReader(options.max_pixels)
     capture = _read(selection, options, reader, verbose=verbose)
+    motion = None
+    if options.register:
+        capture, motion = in_place(capture)
+        moves = dict(
+            zip(selection.names, motion.offsets.round(2).tolist(), strict=True)
+        )
+        motion = still(motion)
+    if _looks_for_mask(selection, options):
+        capture = with_suggested_mask(capture)
     images, mask, transfer = capture.images, capture.mask, capture.transfer
-    warnings = [*capture.notes, *capture_warnings(images, mask, selection.names)]
+    findings = check_capture(capture, selection.names, motion=motion)
+    warnings = [*capture.notes, *(finding.text for finding in findings)]
     made_from = _input_record(selection, network, options, reader)
     focal = focal_of(options.focal, capture.focal, selection.files[0])
     record = complete_record(
         made_from, images, mask, transfer, capture.transfer_rule, warnings
     )
+    record["findings"] = [finding.record() for finding in findings]
+    if options.register:
+        record["moved_back"] = {name: move for name, move in moves.items() if any(move)}
     record["mask_contrast"] = capture.mask_contrast
     record["mask_suggested"] = (capture.mask_contrast or 0) >= TRUSTED
     if verbose:
@@ -365,27 +380,18 @@ def _read(
         images, mask, _ = read_official(selection, size=size, read=reader)
         return Capture(images, mask, "linear", "the authors' reader")
     tracked: Any = functools.partial(track, description="reading photographs")
-    capture = read_capture(
+    return read_capture(
         selection,
         transfer=None if options.transfer == "auto" else options.transfer,
         max_pixels=options.max_pixels,
         read=reader,
         track=tracked if verbose else iter,
     )
-    if selection.mask_file is not None or options.mask != "auto":
-        return capture
-    return _with_suggested_mask(capture)
 
 
-def _with_suggested_mask(capture: Capture) -> Capture:
-    mask, figure = suggest_mask(capture.images, transfer=capture.transfer)
-    if mask is None:
-        return dataclasses.replace(capture, mask_contrast=figure)
-    mask &= capture.mask
-    if not mask.any():
-        return dataclasses.replace(capture, mask_contrast=0.0)
-    # What was left out of the whole image lies around the object: no news.
-    return dataclasses.replace(capture, mask=mask, mask_contrast=figure, notes=())
+def _looks_for_mask(selection: Selection, options: FolderOptions) -> bool:
+    wanted = options.mask == "auto" and options.reader == "plain"
+    return wanted and selection.mask_file is None
 
 
 def _input_record(

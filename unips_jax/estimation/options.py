@@ -30,6 +30,7 @@ class FolderOptions:
         seed: of that draw.
         transfer: how the photographs encode light (auto: by their colour tags; without
             any, 8 bit is srgb and the rest linear).
+        register: bring photographs that moved back to the others' place.
         reader: official: the authors' square crop and resize, and all files linear;
             the results have that size.
         size: side in pixels that the official reader resizes to; 512 if not given.
@@ -52,6 +53,7 @@ class FolderOptions:
     max_images: int | None = None
     seed: int = 0
     transfer: Literal["auto", "linear", "srgb"] = "auto"
+    register: bool = False
     reader: Literal["plain", "official"] = "plain"
     size: int | None = None
     exr: bool = False
@@ -85,6 +87,11 @@ class FolderOptions:
             raise InputError(
                 f"--size {self.size}: results have the photographs' size; leave it "
                 "out, or add --reader official"
+            )
+        if self.reader == "official" and self.register:
+            raise InputError(
+                "--register: the authors' reader resizes the photographs; leave out "
+                "--reader official"
             )
         self._check_surface()
 

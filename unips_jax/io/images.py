@@ -157,6 +157,20 @@ def decode_image(
     )
 
 
+def image_header(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -> Encoded:
+    """What an image file's header says; pixels are not decoded.
+
+    Args:
+        data: the file's bytes.
+        path: named in errors.
+        max_pixels: larger images are refused.
+
+    Raises:
+        InputError: as `decode_image`.
+    """
+    return _header(data, path, False, max_pixels)
+
+
 def check_image(data: bytes, path: Path) -> tuple[int, int, int, np.dtype]:
     """Height, width, channels and type of an image, which is checked to be whole.
 

@@ -61,6 +61,8 @@ class Capture:
         focal: focal length in pixels by the first file's EXIF data; None where it is
             not told.
         notes: what was dealt with, one sentence each.
+        cameras: of each photograph by its EXIF data, empty where not told.
+        exposures: likewise, time x speed / f-number squared; 0 where not told.
         mask_contrast: of a mask that was looked for in the photographs; None where it
             was not.
     """
@@ -71,6 +73,8 @@ class Capture:
     transfer_rule: str = ""
     focal: float | None = None
     notes: tuple[str, ...] = ()
+    cameras: tuple[str, ...] = ()
+    exposures: tuple[float, ...] = ()
     mask_contrast: float | None = None
 
 
@@ -144,6 +148,8 @@ def read_capture(
         encoding.rule,
         stack.first.focal,
         tuple(notes),
+        tuple(stack.cameras),
+        tuple(stack.exposures),
     )
 
 
@@ -166,6 +172,8 @@ class _Stack:
         self.encoding = (
             first.encoding if transfer is None else Encoding(transfer, "--transfer")
         )
+        self.cameras: list[str] = []
+        self.exposures: list[float] = []
         self._size = 0
 
     def add(self, file: ImageFile) -> None:
@@ -179,6 +187,8 @@ class _Stack:
                 f"{file.encoding.transfer} ones ({file.encoding.rule}); export all "
                 "photographs in the same way, or give --transfer"
             )
+        self.cameras.append(file.header.camera)
+        self.exposures.append(file.header.exposure)
         image = self.images[self._size]
         self._size += 1
         image[:] = file.pixels

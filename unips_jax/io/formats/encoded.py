@@ -1,13 +1,16 @@
 """A file whose header was read, and why one is not."""
 
 import dataclasses
+import math
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
 _ORIENTATION, _EXIF, _FOCAL_35MM, _COLOURS = 0x0112, 0x8769, 0xA405, 0xA001
+_MAKER, _MODEL, _TIME, _APERTURE, _SPEED = 0x010F, 0x0110, 0x829A, 0x829D, 0x8827
 
 
 class NotRead(Exception):  # noqa: N818
@@ -46,6 +49,8 @@ class Encoded:
         icc: the colour profile; empty where there is none.
         gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unsaid.
         srgb: whether a tag other than the profile says sRGB.
+        camera: its maker and model; empty where unknown.
+        exposure: seconds times ISO speed over the squared f-number; 0 where unknown.
     """
 
     format: str
@@ -62,9 +67,11 @@ class Encoded:
     icc: bytes = b""
     gamma: float = 0
     srgb: bool = False
+    camera: str = ""
+    exposure: float = 0
 
 
-def exif_facts(block: bytes) -> dict[str, float]:
+def exif_facts(block: bytes) -> dict[str, Any]:
     """What EXIF data tell; what is damaged counts as unsaid.
 
     Args:
@@ -83,12 +90,30 @@ def exif_facts(block: bytes) -> dict[str, float]:
                 tags = {**data, **data.get_ifd(_EXIF)}
         except Exception:  # Pillow raises many kinds for damaged data
             tags = {}
-    return facts_of(tags.get(_ORIENTATION), tags.get(_FOCAL_35MM), tags.get(_COLOURS))
+    told = facts_of(tags.get(_ORIENTATION), tags.get(_FOCAL_35MM), tags.get(_COLOURS))
+    names = (tags.get(_MAKER), tags.get(_MODEL))
+    camera = " ".join(n.strip("\0 ") for n in names if isinstance(n, str)).strip()
+    return {**told, "camera": camera, "exposure": _exposure(tags)}
+
+
+def _exposure(tags: dict[int, object]) -> float:
+    speed = tags.get(_SPEED)
+    values = (
+        tags.get(_TIME),
+        tags.get(_APERTURE),
+        speed[0] if isinstance(speed, tuple) and speed else speed,
+    )
+    try:
+        time, aperture, iso = (float(value) for value in values)  # type: ignore[arg-type]
+        exposure = time * iso / aperture**2
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return 0
+    return exposure if 0 < exposure < math.inf else 0
 
 
 def facts_of(
     orientation: object, focal_35mm: object, colours: object
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """The fields of `Encoded` from values of three tags, whatever they are."""
     focal = focal_35mm if isinstance(focal_35mm, int | float) else 0
     return {

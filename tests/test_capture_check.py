@@ -1,0 +1,277 @@
+"""Faults planted in photographs are found, and sound photographs pass."""
+
+import dataclasses
+import json
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from plain_objects import PLAIN, lights, photographs
+from test_estimate import calls, network_calls, run  # noqa: F401
+from test_exif import with_orientation
+
+from unips_jax.capture.check import check_capture
+from unips_jax.capture.light import rough_lights
+from unips_jax.capture.motion import find_motion
+from unips_jax.capture.registration import register
+from unips_jax.cli import main as cli
+from unips_jax.cli.demo import SAMPLE
+from unips_jax.io.photographs import Capture, read_capture
+from unips_jax.io.selection import select
+
+STRIPES = {"second": (0.25, 0.2, 0.1), "background": 0.02}
+
+
+def check(images, mask, transfer="srgb", rule="8-bit values", **told):
+    capture = Capture(images, mask, transfer, rule, **told)
+    return check_capture(capture, [f"{i}.png" for i in range(len(images))])
+
+
+def moved(image, right, down, turn=0.0):
+    height, width = image.shape[:2]
+    matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, 1.0)
+    matrix[:, 2] += right, down
+    return cv2.warpAffine(
+        image, matrix, (width, height), flags=3, borderMode=cv2.BORDER_REFLECT
+    )
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_sound_photographs_pass(name):
+    options = {**PLAIN[name], "count": 8, "srgb": True}
+    images, mask = photographs(4, **options)
+    assert check(images, mask) == []
+
+
+def test_real_photographs_and_the_sample_pass(shared_dir):
+    for folder in (*sorted((shared_dir / "photos").glob("*.data")), SAMPLE):
+        if folder == SAMPLE:
+            folder = folder / "obj000.data"
+        selection = select(folder)
+        assert check_capture(read_capture(selection), selection.names) == []
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_photographs_that_moved(known):
+    images, mask = photographs(5, **STRIPES)
+    images[2] = moved(images[2], 7.3, -4.6)
+    images[6] = moved(images[6], -30, 18)
+    motion = find_motion(images, mask if known else None)
+    assert np.flatnonzero(motion.moved).tolist() == [2, 6]
+    np.testing.assert_allclose(motion.offsets[2], [7.3, -4.6], atol=0.6)
+    np.testing.assert_allclose(motion.offsets[6], [-30, 18], atol=0.6)
+    (finding,) = check(images, mask)
+    assert finding.text.startswith("moved: 2.png 9, 6.png 35 pixels from where")
+    assert finding.kind == "moved" and finding.files == ("2.png", "6.png")
+    assert finding.figures["6.png"] == pytest.approx(35, abs=1)
+
+
+def test_all_photographs_by_hand():
+    images, mask = photographs(6, **STRIPES)
+    places = np.random.default_rng(3).uniform(-12, 12, (8, 2))
+    images = np.stack([moved(i, *p) for i, p in zip(images, places, strict=True)])
+    motion = find_motion(images)
+    expected = places - places[motion.reference]
+    np.testing.assert_allclose(motion.offsets, expected, atol=0.7)
+
+
+def test_a_moving_pool_of_light_and_highlights_are_no_movement():
+    y, x = np.mgrid[:120, :160]
+    pools = [
+        np.exp(-(np.hypot(x - 80 - 40 * np.cos(a), y - 60 - 30 * np.sin(a)) ** 2) / 900)
+        for a in np.arange(8) * 0.785
+    ]
+    images = np.repeat((25 + 200 * np.array(pools))[..., None], 3, -1).astype(np.uint8)
+    assert not find_motion(images).moved.any()
+    images, mask = photographs(7, gloss=4.0, albedo=(0.3,) * 3)
+    assert not find_motion(images, mask).moved.any()
+
+
+def test_registration_undoes_shifts_and_turns():
+    still, _ = photographs(8, size=(360, 440), **STRIPES)
+    images = still.copy()
+    images[3] = moved(images[3], 6.4, -9.7, 1.2)
+    images[5] = moved(images[5], -20.5, 3.2)
+    back, valid, maps = register(images, find_motion(images))
+    turn = np.degrees(np.arctan2(maps[3][0, 1], maps[3][0, 0]))
+    assert turn == pytest.approx(1.2, abs=0.08)
+    np.testing.assert_allclose(maps[5][:, 2], [-20.5, 3.2], atol=0.3)
+    assert valid.mean() > 0.85 and back.dtype == np.uint8
+    for index, share in ((3, 0.25), (5, 0.25)):
+        before, after = (
+            np.abs(stack[index].astype(float) - still[index])[valid].mean()
+            for stack in (images, back)
+        )
+        assert after < share * before
+    for index in (0, 1, 2, 4, 6, 7):
+        np.testing.assert_array_equal(back[index], images[index])
+
+
+def test_exposure_focus_and_duplicates():
+    images, mask = photographs(9, noise=0.002)
+    images[0] = np.minimum(images[0] * 2.2, 255)
+    images[2] = images[2] // 9
+    images[4] = images[3]
+    images[6] = cv2.GaussianBlur(images[6], (0, 0), 2.5)
+    found = {finding.kind: finding.files for finding in check(images, mask)}
+    assert found == {
+        "saturated": ("0.png",),
+        "underexposed": ("2.png",),
+        "duplicates": ("4.png",),
+        "out of focus": ("6.png",),
+    }
+
+
+def test_a_camera_whose_white_lies_lower_saturates_too():
+    images, mask = photographs(9)
+    for dtype in (np.uint16, np.float32):
+        raw = images.astype(dtype) * dtype(16)
+        raw[1] = np.minimum(raw[1], 1800)
+        (finding,) = check(raw, mask)
+        assert finding.text.startswith("saturated: 1.png ")
+
+
+def test_one_photograph_without_the_lamp():
+    images, mask = photographs(9)
+    images[5] = 7 + images[5] // 60
+    kinds = {finding.kind: finding for finding in check(images, mask)}
+    assert kinds["unlit"].files == ("5.png",)
+    assert "--dark 5.png subtracts it" in kinds["unlit"].text
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize(
+    ("azimuths", "side", "other"),
+    [((-60, 60), "right", "left"), ((30, 150), "top", "bottom")],
+)
+def test_light_from_one_side(seed, azimuths, side, other):
+    directions = lights(8, np.linspace(*azimuths, 8))
+    images, mask = photographs(seed, directions=directions)
+    (finding,) = check(images, mask)
+    assert finding.text.startswith(f"light from one side only, the {side}: ")
+    assert finding.text.endswith(f"with light from the {other}")
+
+
+def test_light_along_the_lens():
+    images, mask = photographs(3, directions=lights(8, elevation=85), noise=0.002)
+    kinds = [finding.kind for finding in check(images, mask)]
+    assert kinds in (["light along the lens"], ["same light"])
+    images, mask = photographs(3, directions=lights(8, elevation=82))
+    assert [f.kind for f in check(images, mask)] == ["light along the lens"]
+
+
+def test_lights_are_roughly_right():
+    directions = lights(12, elevation=50)
+    images, mask = photographs(3, directions=directions, second=(0.2, 0.2, 0.2))
+    found = rough_lights(images, mask, "srgb")
+    turn = np.degrees(
+        np.angle((found[:, 0] + 1j * found[:, 1]) / (directions @ [1, 1j, 0]))
+    )
+    assert np.abs(turn).max() < 25
+    assert rough_lights(images, np.ones_like(mask), "srgb") is None
+
+
+def test_linear_values_of_matte_objects_are_told():
+    images, mask = photographs(3, srgb=False)
+    (finding,) = check(images, mask)
+    assert finding.kind == "probably linear" and "--transfer linear" in finding.text
+    assert check(images, mask, "linear", "--transfer") == []
+
+
+def test_cameras_and_exposures():
+    images, mask = photographs(3)
+    cameras = ("Maker One",) * 6 + ("Maker Two", "")
+    exposures = (0.02,) * 5 + (0.08, 0.02, 0)
+    mixed, changes = check(images, mask, cameras=cameras, exposures=exposures)
+    assert mixed.text.startswith("mixed cameras: Maker One and Maker Two (6.png)")
+    assert changes.text.startswith("exposure changes: 5.png x4 of the usual")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = tmp_path / "pot"
+    folder.mkdir()
+    for index, image in enumerate(photographs(10, **STRIPES)[0]):
+        exif = Image.Exif()
+        exif[0x010F], exif[0x0110] = "Maker", "One\0"
+        exif.get_ifd(0x8769).update({0x829A: 1 / 50, 0x829D: 8.0, 0x8827: 200})
+        picture = Image.fromarray(image)
+        picture.save(folder / f"{index}.jpg", quality=95, exif=exif)
+    return folder
+
+
+def test_what_files_tell(folder):
+    capture = read_capture(select(folder))
+    assert capture.cameras == ("Maker One",) * 8
+    np.testing.assert_allclose(capture.exposures, 200 / 50 / 64)
+
+
+def findings(capsys, *arguments):
+    assert cli.main(["check", *map(str, arguments), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    return json.loads(out)
+
+
+def test_the_command(folder, capsys):
+    assert cli.main(["check", str(folder)]) == 0
+    out, _ = capsys.readouterr()
+    assert "8 photographs" in out and "suggested (contrast 0." in out
+    assert "nothing found that is wrong" in out
+    (report,) = findings(capsys, folder)
+    assert report["findings"] == [] and report["mask_suggested"]
+    assert report["transfer"] == "srgb" and report["width"] == 220
+
+
+def test_files_that_do_not_fit_together(folder, capsys):
+    image = Image.open(folder / "1.jpg")
+    image.crop((0, 0, 200, 160)).save(folder / "1.jpg")
+    turned = folder / "2.jpg"
+    turned.write_bytes(with_orientation(turned.read_bytes(), 3))
+    (folder / "3.jpg").write_bytes(b"no photograph")
+    cv2.imwrite(str(folder / "4.png"), cv2.imread(str(folder / "4.jpg")) * np.uint16(9))
+    (folder / "4.jpg").unlink()
+    first, second = findings(capsys, folder, folder.parent / "pot")
+    assert first == second
+    kinds = {finding["kind"]: finding for finding in first["findings"]}
+    assert list(kinds) == [
+        *("unreadable", "mixed sizes", "mixed orientations", "mixed types"),
+    ]
+    assert kinds["mixed sizes"]["files"] == ["1.jpg"]
+    assert (
+        "1.jpg has 200 x 160 pixels, the others 220 x 180"
+        in (kinds["mixed sizes"]["text"])
+    )
+    assert kinds["mixed orientations"]["files"] == ["2.jpg"]
+    assert kinds["unreadable"]["files"] == ["3.jpg"]
+    assert kinds["mixed types"]["files"] == ["4.png"]
+
+
+def test_estimate_tells_and_registers(folder, tmp_path, calls, capsys):  # noqa: F811
+    path = str(folder / "6.jpg")
+    image = cv2.imread(path)
+    cv2.imwrite(path, moved(image, 12, -7), [cv2.IMWRITE_JPEG_QUALITY, 95])
+    assert run(folder, "-o", tmp_path / "a") == 0
+    out, err = capsys.readouterr()
+    assert err.startswith(f"warning: {folder}: moved: 6.jpg 14 pixels")
+    record = json.loads((tmp_path / "a/pot/normals.json").read_text())
+    assert [f["kind"] for f in record["findings"]] == ["moved"]
+    assert run(folder, "-o", tmp_path / "b", "--register") == 0
+    out, err = capsys.readouterr()
+    assert "moved back 6.jpg +12." in out.replace("+11.9", "+12.") and err == ""
+    record = json.loads((tmp_path / "b/pot/normals.json").read_text())
+    np.testing.assert_allclose(record["moved_back"]["6.jpg"], [12, -7], atol=0.3)
+    inside = calls[1]["mask"]
+    before, after = (
+        np.abs(c["images"][6].astype(float) - image[..., ::-1])[inside].mean()
+        for c in calls
+    )
+    assert after < 0.2 * before
+
+
+def test_finding_is_plain_data():
+    images, mask = photographs(3, count=3)
+    (finding,) = check(images, mask)
+    assert json.loads(json.dumps(finding.record()))["kind"] == "few photographs"
+    assert dataclasses.asdict(finding)["files"] == ()

@@ -1,0 +1,221 @@
+"""Warns about photographs from which no method can tell the shape, and of poor masks.
+
+Looks at the mask, at about 20,000 pixels inside it, and compares the images with each
+other at 2,000 of these, so it costs little beside an estimate. The thresholds are rules
+of thumb; a warning never stops anything.
+"""
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from unips_jax.capture.findings import Finding, some
+from unips_jax.io.masks import mask_box
+
+_SAMPLES = 20_000
+_COMPARED = 2_000
+_FEW_IMAGES = 4
+_SMALL_MASK = 2_000
+_SATURATED_SHARE = 0.05
+_DARK_LEVELS = 32
+_SAME_LIGHT = 0.05
+_SAME_IMAGE = 0.01
+_ISLAND_SHARE = 0.01
+_HOLE_SHARE = 0.0005
+_HOLE = 20
+_UNLIT = 0.1  # of the others' reach, in stored values
+
+
+def look_at_values(
+    images: np.ndarray, mask: np.ndarray, names: Sequence[str]
+) -> list[Finding]:
+    """Lists what is wrong with a mask, with exposure and with the lights' variety.
+
+    Args:
+        images: `[N, H, W, 3]`, uint8, uint16 or float32, not black inside the mask.
+        mask: `[H, W]`, bool, with at least one pixel.
+        names: the N file names.
+    """
+    inside = int(mask.sum())
+    step = math.ceil((inside / _SAMPLES) ** 0.5)
+    if not mask[::step, ::step].any():
+        step = 1
+    samples = images[:, ::step, ::step][:, mask[::step, ::step]]  # [N, P, 3]
+    return [
+        *_count_findings(len(images), inside),
+        *_mask_findings(mask),
+        *_exposure_findings(samples, names),
+        *_light_findings(samples, names),
+    ]
+
+
+def _count_findings(count: int, inside: int) -> list[Finding]:
+    found = []
+    if count < _FEW_IMAGES:
+        found.append(
+            Finding(
+                "few photographs",
+                f"too few photographs: {count}; take 8 or more, each under another "
+                "light (4 still give a rough shape)",
+            )
+        )
+    if inside < _SMALL_MASK:
+        found.append(
+            Finding(
+                "tiny mask",
+                f"tiny mask: {inside} pixels are inside; the object should fill the "
+                "frame",
+            )
+        )
+    return found
+
+
+def _mask_findings(mask: np.ndarray) -> list[Finding]:
+    """Parts of the mask that are hardly meant: specks, islands, pinholes."""
+    mask = mask[mask_box(mask)].astype(np.uint8)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(mask)
+    areas = np.sort(stats[1:, cv2.CC_STAT_AREA])[::-1]
+    specks = areas[areas < _ISLAND_SHARE * areas[0]]
+    islands = areas[: len(areas) - len(specks)]
+    found = []
+    if len(specks):
+        found.append(
+            Finding(
+                "specks in the mask",
+                f"specks in the mask: {len(specks)} of together {specks.sum()} pixels "
+                "lie apart from the object; they get normals too: erase them",
+            )
+        )
+    if len(islands) > 1:
+        shares = [f"{area / areas.sum():.0%}" for area in islands]
+        found.append(
+            Finding(
+                "mask in parts",
+                f"mask in {len(islands)} parts ({some(shares)}): one object is "
+                "expected; join the parts, or estimate each with a mask of its own",
+            )
+        )
+    holes = _hole_areas(mask)
+    holes = holes[holes <= max(_HOLE, _HOLE_SHARE * areas[0])]
+    if len(holes):
+        found.append(
+            Finding(
+                "holes in the mask",
+                f"small holes in the mask: {len(holes)} of together {holes.sum()} "
+                "pixels; they get no normals: fill them, unless the object has holes "
+                "there",
+            )
+        )
+    return found
+
+
+def _hole_areas(mask: np.ndarray) -> np.ndarray:
+    """Pixels of each part of the background that the mask surrounds."""
+    outside = np.pad(1 - mask, 1, constant_values=1)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(outside, connectivity=4)
+    inner = np.arange(1, len(stats)) != labels[0, 0]
+    return stats[1:, cv2.CC_STAT_AREA][inner]
+
+
+def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Finding]:
+    brightest = samples.max(axis=-1)  # [N, P]
+    # A camera's white may lie below the type's largest value; floats have none.
+    clipped = (brightest >= brightest.max(axis=-1, keepdims=True)).mean(axis=-1)
+    if samples.dtype != np.float32:
+        full = np.iinfo(samples.dtype).max
+        clipped = np.maximum(clipped, (brightest >= full).mean(axis=-1))
+    found = []
+    shares = _above(names, clipped, _SATURATED_SHARE)
+    if shares:
+        told = [f"{name} {share:.0%}" for name, share in shares.items()]
+        found.append(
+            Finding(
+                "saturated",
+                f"saturated: {some(told)} of the object at the largest value; expose "
+                "less",
+                tuple(shares),
+                shares,
+            )
+        )
+    reach = np.percentile(brightest, 99, axis=-1).astype(np.float64)
+    if samples.dtype != np.float32:
+        levels = {
+            name: level
+            for name, level in zip(names, reach, strict=True)
+            if level < _DARK_LEVELS
+        }
+        if levels:
+            told = [f"{name} {level:.0f}" for name, level in levels.items()]
+            found.append(
+                Finding(
+                    "underexposed",
+                    "underexposed: the brightest of the object reach only level "
+                    f"{some(told)} of {full}; expose more",
+                    tuple(levels),
+                    levels,
+                )
+            )
+    return found + _unlit(reach, names)
+
+
+def _unlit(reach: np.ndarray, names: Sequence[str]) -> list[Finding]:
+    """One photograph without its lamp, among others."""
+    dark = np.flatnonzero(reach < _UNLIT * np.median(reach))
+    if len(dark) != 1 or len(reach) < _FEW_IMAGES:
+        return []
+    name, level = names[dark[0]], reach[dark[0]] / np.median(reach)
+    return [
+        Finding(
+            "unlit",
+            f"hardly any light: {name} reaches {level:.1%} of what the others do; if "
+            f"it was taken without the lamp, --dark {name} subtracts it from them, "
+            "else --exclude it",
+            (name,),
+            {name: level},
+        )
+    ]
+
+
+def _above(names: Sequence[str], values: np.ndarray, limit: float) -> dict[str, float]:
+    return {
+        name: float(value)
+        for name, value in zip(names, values, strict=True)
+        if value > limit
+    }
+
+
+def _light_findings(samples: np.ndarray, names: Sequence[str]) -> list[Finding]:
+    """Compares the images' shading, each divided by its mean."""
+    if len(samples) < 2:
+        return []
+    step = math.ceil(samples.shape[1] / _COMPARED)
+    scaled = samples[:, ::step].astype(np.float32)
+    scaled /= np.maximum(scaled.mean(axis=(1, 2), keepdims=True), 1e-12)
+    same, files = [], []
+    largest = 0.0
+    for i in range(1, len(scaled)):
+        distances = np.abs(scaled[:i] - scaled[i]).mean(axis=(1, 2))
+        largest = max(largest, float(distances.max()))
+        if distances.min() < _SAME_IMAGE:
+            same.append(f"{names[int(distances.argmin())]} = {names[i]}")
+            files.append(names[i])
+    if largest < _SAME_LIGHT:
+        return [
+            Finding(
+                "same light",
+                "nearly identical photographs: shading differs by "
+                f"{largest:.1%} at most; move the light between shots",
+                figures={"largest difference": largest},
+            )
+        ]
+    if same:
+        return [
+            Finding(
+                "duplicates",
+                f"nearly identical photographs: {some(same)}; they add nothing",
+                tuple(files),
+            )
+        ]
+    return []

@@ -1,0 +1,154 @@
+"""All that is looked for in photographs before an estimate."""
+
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from unips_jax.capture.advice import look_at_values
+from unips_jax.capture.findings import Finding, some
+from unips_jax.capture.light import look_at_encoding, look_at_light
+from unips_jax.capture.motion import Motion, find_motion
+from unips_jax.io.masks import mask_box
+from unips_jax.io.photographs import Capture
+
+_UNTAGGED = "8-bit values"  # the rule of `io.color` where nothing tells
+_FOCUS_SIDE = 1024
+_BLURRED = 0.7  # of the median of fine detail over coarse
+_EXPOSURES = 1.26  # a third of a stop
+
+
+def check_capture(
+    capture: Capture, names: Sequence[str], *, motion: Motion | None = None
+) -> list[Finding]:
+    """Lists what is wrong with photographs; empty if nothing is.
+
+    Args:
+        capture: the photographs, and where the object is.
+        names: their file names.
+        motion: from `find_motion`, where it is known already; of photographs that were
+            brought back to their place, what was left is 0.
+    """
+    images, mask = capture.images, capture.mask
+    if motion is None:
+        motion = find_motion(images, None if mask.all() else mask)
+    found = [
+        *look_at_values(images, mask, names),
+        *_look_at_motion(motion, names),
+        *_look_at_focus(images, mask, names),
+        *_look_at_cameras(capture, names),
+    ]
+    if not any(f.kind in ("same light", "few photographs") for f in found):
+        found += look_at_light(images, mask, capture.transfer)
+    if capture.transfer_rule == _UNTAGGED:
+        found += look_at_encoding(images, mask)
+    return found
+
+
+def _look_at_motion(motion: Motion, names: Sequence[str]) -> list[Finding]:
+    distances = {
+        names[i]: float(np.hypot(*motion.offsets[i]))
+        for i in np.flatnonzero(motion.moved).tolist()
+    }
+    if not distances:
+        return []
+    told = [f"{name} {distance:.0f}" for name, distance in distances.items()]
+    return [
+        Finding(
+            "moved",
+            f"moved: {some(told)} pixels from where the others lie; --register brings "
+            "them back, or leave them out; next time fix camera and object",
+            tuple(distances),
+            distances,
+        )
+    ]
+
+
+def _look_at_focus(
+    images: np.ndarray, mask: np.ndarray, names: Sequence[str]
+) -> list[Finding]:
+    """Photographs with far less fine detail, for their coarse, than the others."""
+    if len(images) < 3:
+        return []
+    rows, columns = mask_box(mask)
+    middle_y, middle_x = (
+        (rows.start + rows.stop) // 2,
+        (columns.start + columns.stop) // 2,
+    )
+    half = _FOCUS_SIDE // 2
+    rows = slice(max(rows.start, middle_y - half), min(rows.stop, middle_y + half))
+    columns = slice(
+        max(columns.start, middle_x - half), min(columns.stop, middle_x + half)
+    )
+    inside = cv2.erode(mask[rows, columns].astype(np.uint8), np.ones((9, 9))) > 0
+    if inside.sum() < 400:
+        return []
+    detail = [_detail(image[rows, columns], inside) for image in images]
+    typical = statistics.median(detail) or 1.0
+    soft = {
+        name: value / typical
+        for name, value in zip(names, detail, strict=True)
+        if value < _BLURRED * typical
+    }
+    if not soft:
+        return []
+    told = [f"{name} {share:.0%}" for name, share in soft.items()]
+    return [
+        Finding(
+            "out of focus",
+            f"out of focus or shaken: {some(told)} of the others' fine detail; leave "
+            "them out or take them again, focus fixed",
+            tuple(soft),
+            soft,
+        )
+    ]
+
+
+def _detail(image: np.ndarray, inside: np.ndarray) -> float:
+    grey = image.astype(np.float32).mean(axis=-1)
+    log = np.log(grey + max(0.05 * float(np.percentile(grey[inside], 99)), 1e-12))
+    a, b, c, d = (cv2.GaussianBlur(log, (0, 0), s) for s in (0.7, 1.4, 2.8, 5.6))
+    coarse = float(np.abs(c - d)[inside].mean())
+    return float(np.abs(a - b)[inside].mean()) / max(coarse, 1e-9)
+
+
+def _look_at_cameras(capture: Capture, names: Sequence[str]) -> list[Finding]:
+    found = []
+    cameras = Counter(camera for camera in capture.cameras if camera)
+    if len(cameras) > 1:
+        usual = cameras.most_common(1)[0][0]
+        others = tuple(
+            name
+            for name, camera in zip(names, capture.cameras, strict=True)
+            if camera and camera != usual
+        )
+        found.append(
+            Finding(
+                "mixed cameras",
+                f"mixed cameras: {' and '.join(sorted(cameras))} ({some(others)}): "
+                "photographs of one object must be taken by one camera",
+                others,
+            )
+        )
+    told = [exposure for exposure in capture.exposures if exposure]
+    if told and max(told) > _EXPOSURES * min(told):
+        typical = statistics.median(told)
+        ratios = {
+            name: exposure / typical
+            for name, exposure in zip(names, capture.exposures, strict=True)
+            if exposure and not 1 / _EXPOSURES < exposure / typical < _EXPOSURES
+        }
+        shown = [f"{name} x{ratio:.2g}" for name, ratio in ratios.items()]
+        found.append(
+            Finding(
+                "exposure changes",
+                f"exposure changes: {some(shown)} of the usual, by EXIF data; set "
+                "time, aperture and ISO by hand, or dark photographs are noisy and "
+                "bright ones saturated",
+                tuple(ratios),
+                ratios,
+            )
+        )
+    return found

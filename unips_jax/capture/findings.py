@@ -1,0 +1,32 @@
+"""What is found wrong with photographs: one line to read, and the same for programs."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong.
+
+    Attributes:
+        kind: a word or two that name it, the same for all of its kind.
+        text: what is wrong, and what to do about it.
+        files: the names of the photographs it is about; empty if it is about all.
+        figures: what was measured, by file or by name.
+    """
+
+    kind: str
+    text: str
+    files: tuple[str, ...] = ()
+    figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    def record(self) -> dict[str, object]:
+        """JSON values."""
+        figures = {name: round(float(n), 4) for name, n in self.figures.items()}
+        return {**dataclasses.asdict(self), "files": [*self.files], "figures": figures}
+
+
+def some(items: Sequence[str], limit: int = 4) -> str:
+    """The first of a list, and how many more there are."""
+    more = f" and {len(items) - limit} more" if len(items) > limit else ""
+    return ", ".join(items[:limit]) + more

@@ -1,0 +1,148 @@
+"""A folder of photographs looked at, whatever is wrong with it."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Hashable
+from typing import Any
+
+from unips_jax.capture.check import check_capture
+from unips_jax.capture.findings import Finding, some
+from unips_jax.capture.masks import TRUSTED
+from unips_jax.capture.prepare import with_suggested_mask
+from unips_jax.errors import InputError
+from unips_jax.io.color import Transfer, encoding_of
+from unips_jax.io.formats import Encoded
+from unips_jax.io.images import MAX_PIXELS, image_header, read_bytes
+from unips_jax.io.photographs import Capture, read_capture
+from unips_jax.io.selection import Selection
+
+
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """What was found.
+
+    Attributes:
+        selection: the photographs.
+        capture: those that fit together, read; None where they cannot be.
+        findings: what is wrong; empty if nothing is.
+    """
+
+    selection: Selection
+    capture: Capture | None
+    findings: tuple[Finding, ...]
+
+    def record(self) -> dict[str, Any]:
+        """JSON values."""
+        record: dict[str, Any] = {
+            "folder": str(self.selection.folder),
+            "photographs": [*self.selection.names],
+            "left_out": self.selection.left_out,
+            "findings": [finding.record() for finding in self.findings],
+        }
+        if self.capture is None:
+            return record
+        height, width = self.capture.mask.shape
+        mask_file = self.selection.mask_file
+        return record | {
+            "width": width,
+            "height": height,
+            "dtype": str(self.capture.images.dtype),
+            "transfer": self.capture.transfer,
+            "transfer_rule": self.capture.transfer_rule,
+            "mask": None if mask_file is None else str(mask_file),
+            "mask_pixels": int(self.capture.mask.sum()),
+            "mask_contrast": self.capture.mask_contrast,
+            "mask_suggested": (self.capture.mask_contrast or 0) >= TRUSTED,
+        }
+
+
+def check_photographs(
+    selection: Selection,
+    *,
+    transfer: Transfer | None = None,
+    look_for_mask: bool = True,
+    max_pixels: int = MAX_PIXELS,
+) -> Report:
+    """Looks at photographs, and at those that fit together more closely.
+
+    Args:
+        selection: which files.
+        transfer: how values encode light, in place of what the files tell.
+        look_for_mask: where there is no mask file.
+        max_pixels: larger images are refused.
+    """
+    headers, found = {}, []
+    for path in selection.files:
+        try:
+            data = read_bytes(path, max_pixels=max_pixels)
+            headers[path.name] = image_header(data, path, max_pixels=max_pixels)
+        except InputError as error:
+            found.append(Finding("unreadable", str(error), (path.name,)))
+    fitting, odd = _alike(headers, transfer)
+    found += odd
+    capture = None
+    if fitting:
+        files = tuple(f for f in selection.files if f.name in fitting)
+        taken = dataclasses.replace(selection, files=files)
+        try:
+            capture = read_capture(taken, transfer=transfer, max_pixels=max_pixels)
+        except InputError as error:
+            found.append(Finding("unusable", str(error)))
+    if capture is not None:
+        if look_for_mask and selection.mask_file is None:
+            capture = with_suggested_mask(capture)
+        found += [Finding("left out", note) for note in capture.notes]
+        found += check_capture(capture, taken.names)
+    return Report(selection, capture, tuple(found))
+
+
+_KINDS: dict[str, tuple[Callable[[Encoded], Hashable], str]] = {
+    "mixed sizes": (
+        lambda h: f"{h.width} x {h.height} pixels",
+        "re-export them in one size, uncropped",
+    ),
+    "mixed orientations": (
+        lambda h: f"orientation {h.orientation}",
+        "if the camera stood still, remove the tag from all files (exiftool "
+        "-Orientation= FILES)",
+    ),
+    "mixed types": (
+        lambda h: f"{h.dtype} pixels",
+        "export all photographs in the same way",
+    ),
+}
+
+
+def _alike(
+    headers: dict[str, Encoded], transfer: Transfer | None
+) -> tuple[set[str], list[Finding]]:
+    """The names of most files that fit together, and what is wrong with the others."""
+    names, found = set(headers), []
+    kinds = dict(_KINDS)
+    if transfer is None:
+        kinds["mixed encodings"] = (
+            lambda h: f"{_encoding(h)} values",
+            "export all photographs in the same way, or give --transfer",
+        )
+    for kind, (of, fix) in kinds.items():
+        counts = Counter(of(headers[name]) for name in headers if name in names)
+        if len(counts) < 2:
+            continue
+        usual = counts.most_common(1)[0][0]
+        others = [n for n in headers if n in names and of(headers[n]) != usual]
+        told = [f"{name} has {of(headers[name])}" for name in others]
+        found.append(
+            Finding(
+                kind,
+                f"{kind}: {some(told)}, the others {usual}; {fix}",
+                tuple(others),
+            )
+        )
+        names -= set(others)
+    return names, found
+
+
+def _encoding(header: Encoded) -> str:
+    return encoding_of(
+        header.dtype, icc=header.icc, gamma=header.gamma, srgb=header.srgb
+    ).transfer

@@ -1,0 +1,155 @@
+"""Where the light comes from, roughly, and whether values are linear.
+
+A solid is laid under the mask that is round towards its outline. The light of a
+photograph is the direction whose shading of it fits best: on real objects it is right
+by some twenty degrees of azimuth, which is enough to see that a side is missing.
+"""
+
+import cv2
+import numpy as np
+
+from unips_jax.capture.findings import Finding
+from unips_jax.io.color import Transfer, as_linear
+
+_SIDE = 160  # pixels of the longer side of the mask's box
+_TOUCHING = 0.25  # of the outline along the image's border: no outline of an object
+_FEW = 4
+_ONE_SIDE = 0.27  # of the mean direction, across the view
+_OPPOSITE = 0.05
+_ALONG = 10.0  # degrees from the lens' axis
+_ALONG_MOST = 15.0
+_SIDES = ("right", "upper right", "top", "upper left") + (
+    "left",
+    "lower left",
+    "bottom",
+    "lower right",
+)
+_RANK = 3
+_MATTE = 0.01
+_CLEARLY = 2.7
+_LINEAR_LEAST = 6
+
+
+def rough_lights(
+    images: np.ndarray, mask: np.ndarray, transfer: Transfer
+) -> np.ndarray | None:
+    """Directions `[N, 3]` towards the light: x right, y up, z to the viewer.
+
+    Args:
+        images: `[N, H, W, 3]`.
+        mask: `[H, W]`, bool: one object and its outline.
+        transfer: how values encode light.
+
+    Returns:
+        None where the mask's outline is not the object's.
+    """
+    touching = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).sum()
+    outline = mask.sum() - cv2.erode(mask.astype(np.uint8), np.ones((3, 3))).sum()
+    if touching > _TOUCHING * max(outline, 1):
+        return None
+    scale = min(1.0, _SIDE / max(mask.shape))
+    small = _reduced(mask.astype(np.float32), scale) > 0.99
+    if small.sum() < 100:
+        return None
+    normals = _round_solid(small)[small]
+    directions = []
+    for image in images:
+        values = as_linear(_reduced(image, scale), transfer).mean(axis=-1)[small]
+        values = np.minimum(values, np.percentile(values, 95))  # highlights
+        directions.append(np.linalg.lstsq(normals, values, rcond=None)[0])
+    found = np.array(directions)
+    return found / np.maximum(np.linalg.norm(found, axis=-1, keepdims=True), 1e-12)
+
+
+def look_at_light(
+    images: np.ndarray, mask: np.ndarray, transfer: Transfer
+) -> list[Finding]:
+    """Says if the light comes from one side only, or along the lens.
+
+    Args: as `rough_lights`.
+    """
+    if len(images) < _FEW:
+        return []
+    lights = rough_lights(images, mask, transfer)
+    if lights is None:
+        return []
+    tilts = np.degrees(np.arccos(np.clip(lights[:, 2], -1, 1)))
+    if np.median(tilts) < _ALONG and tilts.max() < _ALONG_MOST:
+        return [
+            Finding(
+                "light along the lens",
+                "light along the lens in all photographs (about "
+                f"{np.median(tilts):.0f} degrees beside it): they hardly tell the "
+                "shape; hold the lamp well to the left, right, top and bottom",
+                figures={"median tilt": float(np.median(tilts))},
+            )
+        ]
+    mean = lights[:, :2].mean(axis=0)
+    towards = mean / max(float(np.hypot(*mean)), 1e-12)
+    if np.hypot(*mean) < _ONE_SIDE or (lights[:, :2] @ towards).min() < -_OPPOSITE:
+        return []
+    azimuth = float(np.degrees(np.arctan2(mean[1], mean[0])))
+    side = round(azimuth / 45) % 8
+    return [
+        Finding(
+            "light from one side",
+            f"light from one side only, the {_SIDES[side]}: the other side is told "
+            f"badly; add photographs with light from the {_SIDES[(side + 4) % 8]}",
+            figures={"azimuth": azimuth, "mean": float(np.hypot(*mean))},
+        )
+    ]
+
+
+def look_at_encoding(images: np.ndarray, mask: np.ndarray) -> list[Finding]:
+    """Says if 8-bit values that nothing tells to be sRGB or linear fit as linear ones.
+
+    Matte surfaces under N lamps are of rank 3 in linear light, but for shadows. Objects
+    that are not matte tell nothing.
+
+    Args:
+        images: `[N, H, W, 3]`, uint8, without tags.
+        mask: `[H, W]`, bool.
+    """
+    if len(images) < _LINEAR_LEAST or images.dtype != np.uint8:
+        return []
+    step = max(1, int((mask.sum() / 4000) ** 0.5))
+    values = images[:, ::step, ::step][:, mask[::step, ::step]].max(axis=-1)
+    lit = (values.max(axis=0) < 250) & (values.max(axis=0) > 25)
+    if lit.sum() < 200:
+        return []
+    values = values[:, lit]
+    share = values.min(axis=0) / values.max(axis=0)
+    values = values[:, share >= np.percentile(share, 70)]
+    linear, srgb = (_beyond_rank(as_linear(values, t)) for t in ("linear", "srgb"))
+    if linear > _MATTE or srgb < _CLEARLY * linear:
+        return []
+    return [
+        Finding(
+            "probably linear",
+            "values are probably linear, though 8 bit and without a tag: as such "
+            f"{linear:.1%} of their variation is no matte shading, as sRGB {srgb:.1%}; "
+            "if they were exported so, give --transfer linear",
+            figures={"linear": linear, "srgb": srgb},
+        )
+    ]
+
+
+def _beyond_rank(values: np.ndarray) -> float:
+    """The share of what is beyond rank 3 in what is beyond rank 1."""
+    energy = np.linalg.svd(values, compute_uv=False).astype(np.float64) ** 2
+    return float(energy[_RANK:].sum() / max(energy[1:].sum(), 1e-12))
+
+
+def _reduced(image: np.ndarray, scale: float) -> np.ndarray:
+    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+
+def _round_solid(mask: np.ndarray) -> np.ndarray:
+    """Normals `[h, w, 3]` of a solid that is round towards the mask's outline."""
+    depth = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)
+    depth = depth[1:-1, 1:-1]
+    height = np.sqrt(np.maximum(depth * (2 * depth.max() - depth), 0))
+    height = cv2.GaussianBlur(height, (0, 0), max(2.0, 0.15 * float(depth.max())))
+    down, right = np.gradient(height)
+    normals = np.stack([-right, down, np.ones_like(right)], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)

@@ -1,0 +1,106 @@
+"""Looks for what is wrong with folders of photographs, before an estimate.
+
+Photographs that moved, repeat each other, are too bright, too dark or out of focus,
+light from one side only, masks with holes, files that do not fit together: each is one
+line that names the photographs and says what to do. Nothing is written. `unips
+estimate` says the same of what it takes.
+"""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from unips_jax.capture.folder import Report, check_photographs
+from unips_jax.console import command, parse
+from unips_jax.errors import InputError
+from unips_jax.io.images import MAX_PIXELS
+from unips_jax.io.record import print_line, print_selection
+from unips_jax.io.selection import select
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `unips check`.
+
+    Attributes:
+        folders: photographs of an object.
+        mask: an image that is bright on the object, in place of the folder's mask;
+            auto: the folder's, else a suggested one; none: the whole image.
+        include: patterns such as "img_*.png": the images they fit are the photographs.
+        exclude: patterns of files to leave out.
+        transfer: how the photographs encode light (auto: by their colour tags).
+        max_pixels: refuse larger images.
+        json: print a list of JSON objects, one a folder, and nothing else.
+    """
+
+    folders: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint=""),
+    ]
+    mask: Annotated[
+        Literal["auto", "none"] | Path, tyro.conf.arg(metavar="auto|none|FILE")
+    ] = "auto"
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    transfer: Literal["auto", "linear", "srgb"] = "auto"
+    max_pixels: int = MAX_PIXELS
+    json: bool = False
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """`unips check`."""
+    options = parse(Options, argv, prog="unips check", description=__doc__)
+    if not options.folders:
+        raise InputError("expected a folder of photographs, got none; name it")
+    reports = []
+    for folder in options.folders:
+        report = _check(folder, options)
+        if options.json:
+            reports.append(report.record())
+        else:
+            _print(report)
+    if options.json:
+        print(json.dumps(reports, indent=2, ensure_ascii=False))
+
+
+def _check(folder: Path, options: Options) -> Report:
+    selection = select(
+        folder,
+        mask_file=options.mask if isinstance(options.mask, Path) else None,
+        include=options.include,
+        exclude=options.exclude,
+    )
+    if options.mask == "none":
+        selection = dataclasses.replace(selection, mask_file=None)
+    return check_photographs(
+        selection,
+        transfer=None if options.transfer == "auto" else options.transfer,
+        look_for_mask=options.mask == "auto",
+        max_pixels=options.max_pixels,
+    )
+
+
+def _print(report: Report) -> None:
+    print_selection(report.selection)
+    record = report.record()
+    if report.capture is not None:
+        what = record["mask"] or "none"
+        if record["mask_suggested"]:
+            what = f"suggested (contrast {record['mask_contrast']:.2f})"
+        size = f"{record['width']} x {record['height']}"
+        print_line("mask", f"{what}: {record['mask_pixels']} of {size} pixels")
+        print_line("transfer", f"{record['transfer']} ({record['transfer_rule']})")
+    for finding in report.findings:
+        print_line("look", finding.text)
+    if not report.findings:
+        print_line("", "nothing found that is wrong")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
