@@ -25,7 +25,7 @@ _SAME_IMAGE = 0.01
 _ISLAND_SHARE = 0.01
 _HOLE_SHARE = 0.0005
 _HOLE = 20
-_UNLIT = 0.1  # of the others' reach, in stored values
+_UNLIT = 0.06  # of the others' reach, in stored values
 
 
 def look_at_values(
@@ -122,10 +122,11 @@ def _hole_areas(mask: np.ndarray) -> np.ndarray:
 def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Finding]:
     brightest = samples.max(axis=-1)  # [N, P]
     # A camera's white may lie below the type's largest value; floats have none.
-    clipped = (brightest >= brightest.max(axis=-1, keepdims=True)).mean(axis=-1)
+    white = brightest.max(axis=-1, keepdims=True)
+    clipped = (brightest >= white).mean(axis=-1)
     if samples.dtype != np.float32:
         full = np.iinfo(samples.dtype).max
-        clipped = np.maximum(clipped, (brightest >= full).mean(axis=-1))
+        clipped[white[:, 0] < 2 * _DARK_LEVELS] = 0  # few levels: many share the last
     found = []
     shares = _above(names, clipped, _SATURATED_SHARE)
     if shares:
@@ -140,11 +141,12 @@ def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Findin
             )
         )
     reach = np.percentile(brightest, 99, axis=-1).astype(np.float64)
+    unlit = _unlit(reach, names)
     if samples.dtype != np.float32:
         levels = {
             name: level
             for name, level in zip(names, reach, strict=True)
-            if level < _DARK_LEVELS
+            if level < _DARK_LEVELS and not any(name in f.files for f in unlit)
         }
         if levels:
             told = [f"{name} {level:.0f}" for name, level in levels.items()]
@@ -157,7 +159,7 @@ def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Findin
                     levels,
                 )
             )
-    return found + _unlit(reach, names)
+    return found + unlit
 
 
 def _unlit(reach: np.ndarray, names: Sequence[str]) -> list[Finding]:

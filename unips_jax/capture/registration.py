@@ -16,7 +16,7 @@ from unips_jax.capture.motion import (
 
 _SIDE = 1024  # pixels of the longer side, where movement is measured
 _FURTHEST = 0.02  # of the longer side, that refining may change
-_ROUNDS = 2
+_ROUNDS = 3
 
 
 def register(
@@ -88,7 +88,7 @@ def _refined(rest: np.ndarray, field: np.ndarray, start: np.ndarray) -> np.ndarr
             trust.append(sure)
     change = _similarity(np.array(places), np.array(shifts), np.array(trust))
     reach = np.hypot(height, width) / 2
-    if np.hypot(change[0, 0] - 1, change[1, 0]) * reach < 0.5:
+    if np.hypot(change[0, 0] - 1, change[1, 0]) * reach < 0.2:
         median = np.median(shifts, axis=0)
         change = np.concatenate([np.eye(2), median[:, None]], axis=1)
     return _after(start, change)

@@ -189,7 +189,7 @@ def print_record(record: dict[str, Any]) -> None:
     if record.get("moved_back"):
         moves = record["moved_back"].items()
         told = [f"{name} {x:+.1f} {y:+.1f}" for name, (x, y) in moves]
-        print_line("moved back", f"{', '.join(told)} pixels (right, down)")
+        print_line("moved", f"back by {', '.join(told)} pixels (right, down)")
     print_line("weights", f"{weights['name']} (hash {weights['hash'][:8]})")
     if not weights["trained"]:
         print_line("", _UNTRAINED)
