@@ -123,7 +123,7 @@ def test_gives_the_network_what_estimate_does(tmp_path, monkeypatch, dtype):
         path.write_bytes(with_orientation(path.read_bytes(), 3))
     for name in (".thumbnail.jpg", "sheet.png", "shoeNormals.png", "albedo.jpg"):
         save(folder / name, smooth(np.uint8, 6, 7, 8))
-    (folder / "c.heic").write_bytes(b"raw")
+    (folder / "c.psd").write_bytes(b"raw")
     mask = np.full((*size, 4), 255, np.uint8)
     mask[..., 3] *= inside
     save(folder / "mask.png", mask)

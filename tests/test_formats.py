@@ -323,8 +323,7 @@ def test_damaged_jpegs_are_refused_in_threads_too(tmp_path, start):
 @pytest.mark.parametrize(
     ("start", "name"),
     [
-        (b"\0\0\0\x18ftypheic", "a HEIC picture"),
-        (b"\0\0\0\x18ftypavif", "an AVIF picture"),
+        (b"\0\0\0\x18ftypmp42", "a video; give the file itself"),
         (b"FUJIFILMCCD-RAW 0201", "camera's raw file .RAF."),
         (b"IIU\0\x18\0\0\0", "camera's raw file .RW2."),
         (b"IIRO\x08\0\0\0", "camera's raw file .ORF."),

@@ -176,7 +176,7 @@ def touch(folder: Path, *names: str):
 
 def test_plain_folder_lists_what_is_left_out(tmp_path):
     touch(tmp_path, "b.PNG", "a.jpg", ".hidden.png", "normal.tif", "notes.txt")
-    touch(tmp_path, "mask.TIF", "c.heic", "d.RAF", "depth.exr")
+    touch(tmp_path, "mask.TIF", "c.jxl", "d.PSD", "depth.exr")
     (tmp_path / "sub.png").mkdir()
     selection = select(tmp_path)
     assert selection.names == ("a.jpg", "b.PNG")
@@ -184,8 +184,8 @@ def test_plain_folder_lists_what_is_left_out(tmp_path):
     assert selection.left_out == {
         "a map or output, by its name": ["depth.exr", "normal.tif"],
         "not an image": ["notes.txt"],
-        ".heic is not read: export PNG or TIFF": ["c.heic"],
-        ".raf is not read: export PNG or TIFF": ["d.RAF"],
+        ".jxl is not read: export PNG or TIFF": ["c.jxl"],
+        ".psd is not read: export PNG or TIFF": ["d.PSD"],
     }
 
 
@@ -336,3 +336,58 @@ def test_other_pixel_types_are_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "a.tif"), smooth(np.uint8).astype(np.int16))
     with pytest.raises(InputError, match="got a TIFF of 16-bit signed samples; export"):
         read_image(tmp_path / "a.tif")
+
+
+def test_masks_named_after_the_object(tmp_path):
+    touch(tmp_path, "buddha.0.png", "buddha.1.png", "buddha.mask.png", "filenames.txt")
+    selection = select(tmp_path)
+    assert selection.names == ("buddha.0.png", "buddha.1.png")
+    assert selection.mask_file == tmp_path / "buddha.mask.png"
+    touch(tmp_path, "mask.png")
+    with pytest.raises(InputError, match="one mask, got buddha.mask.png, mask.png"):
+        select(tmp_path)
+
+
+def test_a_photograph_in_two_formats_counts_once(tmp_path):
+    touch(tmp_path, "a.JPG", "a.tif", "b.JPG", "b.tif", "c.JPG", "c.tif")
+    selection = select(tmp_path)
+    assert selection.names == ("a.tif", "b.tif", "c.tif")
+    assert selection.left_out == {
+        "the same photographs as .tif": ["a.JPG", "b.JPG", "c.JPG"]
+    }
+    assert select(tmp_path, include=["*.JPG"]).names == ("a.JPG", "b.JPG", "c.JPG")
+    (tmp_path / "c.tif").unlink()  # what all have comes first
+    assert select(tmp_path).names == ("a.JPG", "b.JPG", "c.JPG")
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_raw_files_come_first_where_they_are_read(tmp_path, monkeypatch, installed):
+    found = object() if installed else None
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: found)
+    touch(tmp_path, "a.JPG", "a.CR2", "b.JPG", "b.CR2")
+    suffix = "CR2" if installed else "JPG"
+    assert select(tmp_path).names == (f"a.{suffix}", f"b.{suffix}")
+
+
+def test_a_list_of_lights_names_the_photographs(tmp_path):
+    touch(tmp_path, "rti 01.jpg", "rti 02.jpg", "Ball_mask.png", "setup.jpg")
+    text = "3\nC:\\work\\rti 01.jpg 0.1 -0.2 0.97\nx/RTI 02.JPG\t.5 5e-1 0.7\n"
+    (tmp_path / "coin.lp").write_text(text + "rti 03.jpg 0 0 1\nnonsense\n")
+    selection = select(tmp_path)
+    assert selection.names == ("rti 01.jpg", "rti 02.jpg")
+    assert selection.left_out == {
+        "not listed in coin.lp": ["Ball_mask.png", "setup.jpg"],
+        "listed in coin.lp, but not there": ["rti 03.jpg"],
+    }
+    (tmp_path / "coin.lp").write_bytes(b"\xff\x00nothing of ours")
+    assert select(tmp_path).names == ("rti 01.jpg", "rti 02.jpg", "setup.jpg")
+
+
+def test_links_and_hidden_files(tmp_path):
+    touch(tmp_path, "b.png", ".b.png", "._b.png")
+    touch(tmp_path / "elsewhere", "c.png")
+    (tmp_path / "a.png").symlink_to("b.png")
+    (tmp_path / "c.png").symlink_to("elsewhere/c.png")
+    selection = select(tmp_path)
+    assert selection.names == ("b.png", "c.png")
+    assert selection.left_out == {"another name of b.png": ["a.png"]}

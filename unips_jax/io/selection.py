@@ -5,6 +5,7 @@ What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or el
 truth or this package's own output, by their names (`is_map`), and never hidden files.
 Names decide only between files: if they leave none, a numbered series with such a word
 in its name (`metal_bowl_0.png`, ...) is taken. Patterns of the user's overrule names.
+An RTI's list of lights (.lp) names the photographs; one in two formats counts once.
 Files are sorted by name; whatever is left out is listed with its reason.
 """
 
@@ -18,17 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.naming import RAW_SUFFIXES, each_once, listed_photographs
 
-SUFFIXES = frozenset(
+SUFFIXES = RAW_SUFFIXES | frozenset(
     ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split()
-    + ".pgm .ppm .pnm .pbm .gif".split()
+    + ".pgm .ppm .pnm .pbm .gif .tga .mpo .heic .heif .avif".split()
 )
 
-_UNREAD_SUFFIXES = frozenset(
-    ".heic .heif .avif .jxl .jp2 .psd .xcf .svg .pdf .dng .cr2 .cr3 .crw .nef .nrw .arw"
-    " .srf .sr2 .raf .rw2 .rwl .orf .pef .srw .x3f .3fr .fff .iiq .mrw .kdc .dcr .erf"
-    " .mef .mos .raw".split()
-)
+_UNREAD_SUFFIXES = frozenset(".jxl .jp2 .psd .xcf .svg .pdf".split())
 
 _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
 _MAP_NAME = re.compile(
@@ -127,7 +125,8 @@ def select(
     if mask_file and not mask_file.is_file():
         raise InputError(f"{mask_file}: expected a mask's image file, got no such file")
     images, left_out = _images(entries, mask_file, include, exclude)
-    files = images if include else _by_name(folder, images, left_out)
+    files = images if include else _by_name(folder, entries, images, left_out)
+    files = each_once(files, left_out)
     if not files:
         raise InputError(_nothing_found(folder, entries, left_out))
     if max_images is not None and max_images < len(files):
@@ -149,7 +148,10 @@ def folder_name(folder: Path) -> str:
 
 def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
     masks = [
-        e for e in entries if e.stem.lower() == "mask" and e.suffix.lower() in SUFFIXES
+        e
+        for e in entries
+        if re.fullmatch(r"(.*\.)?mask", e.stem, re.IGNORECASE)
+        and e.suffix.lower() in SUFFIXES
     ]
     if len(masks) > 1:
         raise InputError(
@@ -173,25 +175,31 @@ def _images(
     """The images that patterns leave, and what is left out, by reason."""
     images: list[Path] = []
     left_out: dict[str, list[str]] = {}
-    for entry in entries:
+    originals: dict[str, Path] = {}
+    for entry in sorted(entries, key=Path.is_symlink):  # links come last
         suffix = entry.suffix.lower()
         if entry.is_dir() or (mask_file and _same(entry, mask_file)):
             continue
+        original = originals.setdefault(os.path.realpath(entry), entry)
         if _fits(entry, exclude):
             reason = "by --exclude"
         elif suffix in _UNREAD_SUFFIXES:
             reason = f"{suffix} is not read: export PNG or TIFF"
+        elif suffix == ".lp":
+            continue
         elif suffix not in SUFFIXES:
             reason = "not an image"
         elif entry.exists() and not entry.is_file():
             reason = "a pipe or device, no regular file"
         elif include and not _fits(entry, include):
             reason = "not among --include"
+        elif original != entry and entry.is_file():
+            reason = f"another name of {original.name}"
         else:
             images.append(entry)
             continue
         left_out.setdefault(reason, []).append(entry.name)
-    return images, left_out
+    return sorted(images), left_out
 
 
 def _fits(entry: Path, patterns: Sequence[str]) -> bool:
@@ -199,9 +207,26 @@ def _fits(entry: Path, patterns: Sequence[str]) -> bool:
 
 
 def _by_name(
-    folder: Path, images: list[Path], left_out: dict[str, list[str]]
+    folder: Path,
+    entries: list[Path],
+    images: list[Path],
+    left_out: dict[str, list[str]],
 ) -> list[Path]:
     """The photographs among images; adds the others to what is left out."""
+    lists = [e for e in entries if e.suffix.lower() == ".lp" and e.is_file()]
+    for path in lists:
+        listed = listed_photographs(path)
+        files = [file for file in images if file.name.lower() in listed]
+        if len(files) < 2:
+            continue
+        others = [file.name for file in images if file not in files]
+        if others:
+            left_out[f"not listed in {path.name}"] = others
+        there = {file.name.lower() for file in files}
+        missing = [name for key, name in listed.items() if key not in there]
+        if missing:
+            left_out[f"listed in {path.name}, but not there"] = missing
+        return files
     files = [file for file in images if not is_map(file.name)] or _series(images)
     maps = [file.name for file in images if file not in files]
     if maps:

@@ -2,9 +2,10 @@
 
 A format is known by content, never by name. Each has one reader for all its variants:
 TIFF tifffile; EXR OpenEXR; JPEG libjpeg-turbo by simplejpeg, which gives a decoder's
-warnings as errors; PNG, WebP and Radiance HDR imagecodecs; BMP, GIF and PBM Pillow.
-All raise on damaged data, in whatever thread. A kind that is not read is refused by
-its name.
+warnings as errors; PNG, WebP and Radiance HDR imagecodecs; BMP, GIF, PBM, TGA and AVIF
+Pillow; HEIC pillow-heif and cameras' raw files rawpy, where these are installed. All
+raise on damaged data, in whatever thread. A kind that is not read is refused by its
+name.
 """
 
 import re
@@ -12,19 +13,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unips_jax.io.formats import exr, raster, tiff
+from unips_jax.io.formats import camera, exr, raster, tiff
 from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead
 
 __all__ = ["Damaged", "Encoded", "NotRead", "decode", "open_encoded"]
 
 _OTHERS = (  # formats that are known but not read
-    (rb"....ftyp(heic|heix|hevc|heim|heis|mif1|msf1)", "a HEIC picture"),
-    (rb"....ftyp(avif|avis)", "an AVIF picture"),
-    (rb"....ftypcrx", "a camera's raw file (CR3)"),
-    (rb"FUJIFILMCCD-RAW", "a camera's raw file (RAF)"),
-    (rb"IIU\0", "a camera's raw file (RW2)"),
-    (rb"IIR[OS]|MMOR", "a camera's raw file (ORF)"),
-    (rb"FOVb", "a camera's raw file (X3F)"),
     (rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51", "a JPEG 2000 picture"),
     (rb"\0\0\0\x0cJXL |\xff\x0a", "a JPEG XL picture"),
     (rb"II\xbc", "a JPEG XR picture"),
@@ -33,6 +27,14 @@ _OTHERS = (  # formats that are known but not read
     (rb"%PDF", "a PDF document"),
     (rb"P[Ff]\s", "a PFM picture"),
     (rb"P[123]\s", "a PNM picture written as text"),
+)
+
+_RAW = (  # cameras' raw files that are no TIFF
+    (rb"....ftypcrx", "a camera's raw file (CR3)"),
+    (rb"FUJIFILMCCD-RAW", "a camera's raw file (RAF)"),
+    (rb"IIU\0", "a camera's raw file (RW2)"),
+    (rb"IIR[OS]|MMOR", "a camera's raw file (ORF)"),
+    (rb"FOVb", "a camera's raw file (X3F)"),
 )
 
 
@@ -53,6 +55,9 @@ def open_encoded(data: bytes, *, vectors: bool = False) -> Encoded:
     try:
         if data.startswith(exr.MAGIC):
             return exr.open_exr(data, vectors=vectors)
+        for pattern, name in _RAW:
+            if re.match(pattern, data[:16], re.DOTALL):
+                return camera.open_raw(data, name)
         return _opener(data)(data)
     except (NotRead, Damaged):
         raise
@@ -62,7 +67,9 @@ def open_encoded(data: bytes, *, vectors: bool = False) -> Encoded:
 
 def _opener(data: bytes) -> Callable[[bytes], Encoded]:
     if data.startswith(tiff.MAGICS):
-        return tiff.open_tiff
+        return _open_tiff
+    if data[4:8] == b"ftyp":
+        return _open_boxed
     if data.startswith(raster.JPEG_MAGIC):
         return raster.open_jpeg
     if data.startswith(raster.PNG_MAGIC):
@@ -75,6 +82,27 @@ def _opener(data: bytes) -> Callable[[bytes], Encoded]:
         return raster.open_pnm
     if data.startswith((b"BM", b"GIF8")) or re.match(rb"P4\s", data[:3]):
         return raster.open_by_pillow
+    if raster.is_tga(data):
+        return raster.open_by_pillow
+    raise Damaged("")
+
+
+def _open_tiff(data: bytes) -> Encoded:
+    """A TIFF, or a camera's raw file that is one by its form."""
+    if name := tiff.raw_kind(data):
+        return camera.open_raw(data, name)
+    return tiff.open_tiff(data)
+
+
+def _open_boxed(data: bytes) -> Encoded:
+    """A file of ISO's boxes: the first names the kinds that it may be read as."""
+    kinds = data[8 : int.from_bytes(data[:4], "big")]
+    if b"avif" in kinds or b"avis" in kinds:
+        return camera.open_avif(data)
+    if re.search(rb"hei[cxms]|hev[cx]|mif1|msf1", kinds):
+        return camera.open_heic(data)
+    if re.search(rb"isom|iso\d|mp4\d|qt  |M4V |3gp", kinds):
+        raise NotRead("a video", "give the file itself to `unips estimate`")
     raise Damaged("")
 
 

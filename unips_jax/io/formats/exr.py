@@ -49,7 +49,7 @@ def open_exr(data: bytes, *, vectors: bool = False) -> Encoded:
     width, height = (int(n) for n in _size(windows[1]))
 
     def decode() -> np.ndarray:
-        with _quiet():
+        with quiet():
             whole = OpenEXR.File(io.BytesIO(data), separate_channels=True)
         planes = [whole.parts[index].channels[name].pixels for name in names]
         kinds = {plane.dtype for plane in planes}
@@ -105,8 +105,8 @@ def _allocated(header: dict[str, Any]) -> int:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keeps off the terminal what OpenEXR prints before it raises.
+def quiet() -> Iterator[None]:
+    """Keeps off the terminal what libraries print before they raise.
 
     Output belongs to the whole process, so only its main thread may take it.
     """

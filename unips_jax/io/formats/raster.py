@@ -226,12 +226,29 @@ def open_pnm(data: bytes) -> Encoded:
     return Encoded("PNM", height, width, channels, False, dtype, decode)
 
 
+def is_tga(data: bytes) -> bool:
+    """Whether a file is a TGA, which has no mark at its beginning.
+
+    Args:
+        data: the file's bytes.
+    """
+    if len(data) < 18 or data[17] & 0xC0:
+        return False
+    colours, width, height, bits = struct.unpack_from("<5xHx4xHHB", data)
+    if bits not in (8, 15, 16, 24, 32) or not width * height:
+        return False
+    if data.rstrip(b"\0").endswith(b"TRUEVISION-XFILE."):
+        return True
+    size = 18 + data[0] + colours * (data[7] // 8) + height * width * -(-bits // 8)
+    return (data[1], data[2]) in ((1, 1), (0, 2), (0, 3)) and len(data) == size
+
+
 def open_by_pillow(data: bytes) -> Encoded:
-    """Reads the header of a BMP, GIF or PBM; see `formats.open_encoded`."""
+    """Reads the header of a BMP, GIF, PBM or TGA; see `formats.open_encoded`."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # its own limit of pixels: ours follows
-            image = Image.open(io.BytesIO(data), formats=("BMP", "GIF", "PPM"))
+            image = Image.open(io.BytesIO(data), formats=("BMP", "GIF", "PPM", "TGA"))
     except Image.DecompressionBombError:
         return _beyond_pillow(data)
     name = image.format or "BMP"

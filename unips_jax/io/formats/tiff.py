@@ -25,6 +25,7 @@ _REDUCED, _TRANSPARENCY = 1, 4
 _ALPHA = (1, 2)  # associated, unassociated
 _UNSPECIFIED = 0
 _EXIF, _ICC = 34665, 34675
+_MAKER, _SUB_FILES, _DNG_VERSION = 271, 330, 50706
 
 
 class _Complaints(logging.Handler):
@@ -95,6 +96,28 @@ def open_tiff(data: bytes) -> Encoded:
         icc=bytes(tags.valueof(_ICC) or b""),
         **facts_of(tags.valueof(274), *told),  # type: ignore[arg-type]
     )
+
+
+def raw_kind(data: bytes) -> str:
+    """Names the raw file that has the form of a TIFF; empty where it is none.
+
+    Args:
+        data: the file's bytes.
+    """
+    if data[8:10] == b"CR":
+        return "a camera's raw file (CR2)"
+    try:
+        tiff = tifffile.TiffFile(io.BytesIO(data))
+        page = tiff.pages.first
+        tags = page.tags
+    except Exception:  # `open_tiff` says what is wrong
+        return ""
+    if _DNG_VERSION in tags:
+        return "a camera's raw file (DNG)"
+    small = isinstance(page, tifffile.TiffPage) and int(page.subfiletype) & _REDUCED
+    if page.photometric in _CAMERA or (small and _SUB_FILES in tags and _MAKER in tags):
+        return "a camera's raw file (a TIFF of sensor values)"
+    return ""
 
 
 def _tiled_size(page: tifffile.TiffPage) -> int:

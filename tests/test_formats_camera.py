@@ -1,0 +1,194 @@
+"""Files as phones and cameras write them: raw, HEIC, AVIF, MPO; and TGA."""
+
+import struct
+import sys
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image, features
+from test_photos import save, smooth
+
+from unips_jax.errors import InputError
+from unips_jax.io.images import read_image, read_image_file
+from unips_jax.io.photographs import read_capture
+from unips_jax.io.selection import select
+
+HEIGHT, WIDTH = 48, 64
+
+
+def dng(path, left=9000, right=2000, orientation=1):
+    """A raw file of grey: two brightnesses, of 16383, beside each other."""
+    values = np.full((HEIGHT, WIDTH), left, np.uint16)
+    values[:, WIDTH // 2 :] = right
+    one, none = (10_000, 10_000), (0, 10_000)
+    unit = [n for i in range(9) for n in (none if i % 4 else one)]
+    tags = [
+        *((50706, "B", 4, (1, 4, 0, 0)), (50707, "B", 4, (1, 1, 0, 0))),
+        *((33421, "H", 2, (2, 2)), (33422, "B", 4, (0, 1, 1, 2))),
+        *((50708, "s", 0, "Test Camera"), (271, "s", 0, "Test"), (272, "s", 0, "One")),
+        *((50721, "2i", 9, unit), (50714, "H", 1, (0,)), (50717, "I", 1, (16383,))),
+        *((50728, "2I", 3, [*one, *one, *one]), (50778, "H", 1, (21,))),
+    ]
+    tags = [(*tag, True) for tag in (*tags, (274, "H", 1, (orientation,)))]
+    tifffile.imwrite(
+        path, values, photometric=32803, extratags=tags, metadata=None, software=None
+    )
+    return path
+
+
+def test_raw_files_are_linear_and_as_exposed(tmp_path):
+    pytest.importorskip("rawpy")
+    for index, light in enumerate((9000, 4500)):
+        dng(tmp_path / f"{index}.dng", light)
+    capture = read_capture(select(tmp_path))
+    assert capture.images.shape == (2, HEIGHT, WIDTH, 3)
+    assert capture.images.dtype == np.uint16 and capture.transfer == "linear"
+    for image, light in zip(capture.images, (9000, 4500), strict=True):
+        for column, value in ((10, light), (50, 2000)):
+            expected = 65535 * value / 16383
+            np.testing.assert_allclose(image[24, column], expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("orientation", [3, 6, 8])
+def test_raw_files_are_turned(tmp_path, orientation):
+    pytest.importorskip("rawpy")
+    file = read_image_file(dng(tmp_path / "a.dng", orientation=orientation))
+    upright = read_image(dng(tmp_path / "b.dng"))
+    turns = {3: 2, 6: 3, 8: 1}[orientation]
+    np.testing.assert_array_equal(file.pixels, np.rot90(upright, turns))
+    assert file.orientation == orientation
+
+
+def test_a_damaged_raw_file_is_one_quiet_error(tmp_path, capfd):
+    pytest.importorskip("rawpy")
+    path = dng(tmp_path / "a.dng")
+    data = path.read_bytes()
+    for length in (len(data) // 3, len(data) * 4 // 5):
+        path.write_bytes(data[:length])
+        with pytest.raises(InputError, match=r"a\.dng: expected .*image"):
+            read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def heic(path, picture, **options):
+    pillow_heif = pytest.importorskip("pillow_heif")
+    height, width, channels = picture.shape
+    mode = "RGB" if channels == 3 else "RGBA"
+    file = pillow_heif.from_bytes(mode, (width, height), picture.tobytes())
+    file.save(path, quality=100, chroma=444, **options)
+    return path
+
+
+def test_heic_whatever_it_is_called(tmp_path):
+    picture = smooth(np.uint8, height=HEIGHT, width=WIDTH)
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0112] = "Phone", 6  # the decoder turns it
+    for name in ("a.heic", "b.jpg", "c.HEIF"):
+        file = read_image_file(heic(tmp_path / name, picture, exif=exif.tobytes()))
+        upright = np.rot90(picture, 3)
+        assert np.abs(file.pixels.astype(int) - upright).max() <= 6
+        assert (file.orientation, file.header.camera) == (1, "Phone")
+        assert file.encoding.transfer == "srgb"
+    assert select(tmp_path).names == ("a.heic", "b.jpg", "c.HEIF")
+
+
+def test_heic_and_avif_that_are_cut_out_or_damaged(tmp_path, capfd):
+    alpha = np.full((HEIGHT, WIDTH, 1), 255, np.uint8)
+    alpha[:10] = 0
+    picture = np.dstack([smooth(np.uint8, height=HEIGHT, width=WIDTH), alpha])
+    paths = [heic(tmp_path / "a.heic", picture)]
+    if features.check("avif"):
+        paths.append(tmp_path / "a.avif")
+        Image.fromarray(picture).save(paths[-1], quality=100)
+    for path in paths:
+        file = read_image_file(path)
+        np.testing.assert_array_equal(file.alpha > 127, alpha[..., 0] > 0)
+        data = path.read_bytes()
+        path.write_bytes(data[: len(data) // 2])
+        with pytest.raises(InputError, match="got a damaged, truncated"):
+            read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not features.check("avif"), reason="Pillow has no AVIF here")
+def test_avif(tmp_path):
+    picture = smooth(np.uint8, height=HEIGHT, width=WIDTH)
+    Image.fromarray(picture).save(tmp_path / "a.avif", quality=100, subsampling="4:4:4")
+    read = read_image(tmp_path / "a.avif")
+    assert np.abs(read.astype(int) - picture).max() <= 12
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "make"),
+    [("rawpy", "raw", dng), ("pillow_heif", "heif", heic)],
+)
+def test_what_is_not_installed_is_named(tmp_path, monkeypatch, module, extra, make):
+    arguments = () if make is dng else (smooth(np.uint8),)
+    path = make(tmp_path / "a.jpg", *arguments)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=rf"install unips-jax\[{extra}\], or "):
+        read_image(path)
+
+
+def test_the_first_picture_of_an_mpo(tmp_path):
+    views = [Image.fromarray(smooth(np.uint8, seed)) for seed in (0, 1)]
+    path = tmp_path / "a.mpo"
+    views[0].save(path, save_all=True, append_images=views[1:], quality=95)
+    assert select(tmp_path).names == ("a.mpo",)
+    read = read_image(path).astype(int)
+    assert np.abs(read - smooth(np.uint8)).mean() < 4
+
+
+@pytest.mark.parametrize("compression", [None, "tga_rle"])
+@pytest.mark.parametrize("mode", ["L", "RGB", "RGBA", "P"])
+def test_tga(tmp_path, mode, compression):
+    picture = Image.fromarray(smooth(np.uint8)).convert(mode)
+    picture.save(tmp_path / "a.tga", compression=compression)
+    assert select(tmp_path).names == ("a.tga",)
+    read = read_image(tmp_path / "a.tga")
+    expected = np.atleast_3d(
+        np.asarray(picture.convert("RGB" if mode == "P" else mode))
+    )
+    np.testing.assert_array_equal(read, expected[..., :3])
+    data = (tmp_path / "a.tga").read_bytes()
+    (tmp_path / "a.tga").write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match="damaged, truncated or unknown"):
+        read_image(tmp_path / "a.tga")
+
+
+def test_a_tga_without_a_footer(tmp_path):
+    picture = smooth(np.uint8)
+    height, width = picture.shape[:2]
+    header = struct.pack("<BBBHHBHHHHBB", 0, 0, 2, 0, 0, 0, 0, 0, width, height, 24, 32)
+    path = tmp_path / "a.tga"
+    path.write_bytes(header + picture[..., ::-1].tobytes())
+    np.testing.assert_array_equal(read_image(path), picture)
+
+
+@pytest.mark.parametrize("colour", [(0, 255, 0), (255, 0, 0), (90, 20, 160)])
+def test_masks_of_any_colour_and_palette(tmp_path, colour):
+    save(tmp_path / "a.png", smooth(np.uint8))
+    mask = np.zeros(smooth(np.uint8).shape[:2], bool)
+    mask[4:12, 5:30] = True
+    painted = Image.fromarray(np.uint8(mask), "P")
+    painted.putpalette([0, 0, 0, *colour])
+    for picture in (painted, painted.convert("RGB")):
+        picture.save(tmp_path / "mask.png")
+        np.testing.assert_array_equal(read_capture(select(tmp_path)).mask, mask)
+
+
+def test_float_tiff_with_alpha(tmp_path):
+    alpha = np.ones((HEIGHT, WIDTH, 1), np.float32)
+    alpha[:, :9] = 0
+    picture = smooth(np.float32, height=HEIGHT, width=WIDTH)
+    for index in range(2):
+        tifffile.imwrite(
+            tmp_path / f"{index}.tif",
+            np.dstack([picture, alpha]),
+            photometric="rgb",
+            extrasamples=["unassalpha"],
+        )
+    capture = read_capture(select(tmp_path))
+    np.testing.assert_array_equal(capture.images[0], picture)
+    np.testing.assert_array_equal(capture.mask, alpha[..., 0] > 0)

@@ -1,0 +1,121 @@
+"""What cameras and phones write: raw files, HEIC and AVIF.
+
+Raw files are read by rawpy, HEIC by pillow-heif, both extras, AVIF by Pillow. Raw files
+are developed without anything that would differ from photograph to photograph:
+demosaiced, white-balanced as the camera did, in sRGB's primaries, up to the sensor's
+white; 16 bit, linear.
+"""
+
+import io
+from typing import Any
+
+import numpy as np
+from PIL import Image, features
+
+from unips_jax.io.formats.encoded import Encoded, NotRead, exif_facts
+from unips_jax.io.formats.exr import quiet
+
+_FLIPS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's and EXIF's orientations
+_BYTE = np.dtype(np.uint8)
+
+
+def open_raw(data: bytes, name: str) -> Encoded:
+    """Reads a camera's raw file.
+
+    Args:
+        data: the file's bytes.
+        name: of its kind.
+
+    Raises:
+        NotRead: if rawpy is not installed, or does not know the camera.
+        Exception: of several kinds, if it is damaged.
+    """
+    try:
+        import rawpy
+    except ImportError:
+        raise NotRead(
+            name, "install unips-jax[raw], or develop it to 16-bit TIFF"
+        ) from None
+    try:
+        with quiet(), rawpy.imread(io.BytesIO(data)) as raw:
+            sizes = raw.sizes
+    except rawpy.LibRawFileUnsupportedError:
+        raise NotRead(
+            f"{name} that LibRaw does not know", "develop it to 16-bit TIFF"
+        ) from None
+
+    def decode() -> np.ndarray:
+        with quiet(), rawpy.imread(io.BytesIO(data)) as raw:
+            return raw.postprocess(
+                gamma=(1, 1),
+                no_auto_bright=True,
+                adjust_maximum_thr=0.0,
+                use_camera_wb=True,
+                output_color=rawpy.ColorSpace.sRGB,
+                output_bps=16,
+                user_flip=0,
+            )
+
+    orientation = _FLIPS.get(sizes.flip, 1)
+    dtype = np.dtype(np.uint16)
+    return Encoded(
+        "raw",
+        sizes.iheight,
+        sizes.iwidth,
+        3,
+        False,
+        dtype,
+        decode,
+        orientation=orientation,
+    )
+
+
+def open_heic(data: bytes) -> Encoded:
+    """Reads a HEIC picture, of a phone mostly; the primary one of several.
+
+    Its own turns are done by the decoder; as the format demands, EXIF's is not.
+    """
+    try:
+        import pillow_heif
+    except ImportError:
+        raise NotRead(
+            "a HEIC picture", "install unips-jax[heif], or export it as PNG or TIFF"
+        ) from None
+    image: Any = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=True)
+    channels = {"L": 1, "RGB": 3, "RGBA": 4}.get(image.mode)
+    if channels is None:
+        raise NotRead(f"a HEIC picture of {image.mode} pixels")
+    width, height = image.size
+    facts = exif_facts(image.info.get("exif") or b"")
+    return Encoded(
+        "HEIC",
+        height,
+        width,
+        channels,
+        channels == 4,
+        _BYTE,
+        lambda: np.asarray(image),
+        icc=image.info.get("icc_profile") or b"",
+        **(facts | {"orientation": 1}),
+    )
+
+
+def open_avif(data: bytes) -> Encoded:
+    """Reads an AVIF picture."""
+    if not features.check("avif"):
+        raise NotRead("an AVIF picture (Pillow was built without AVIF)")
+    image = Image.open(io.BytesIO(data), formats=("AVIF",))
+    if getattr(image, "n_frames", 1) > 1:
+        raise NotRead("an animated AVIF")
+    mode = "RGBA" if image.mode == "RGBA" else "RGB"
+    return Encoded(
+        "AVIF",
+        image.height,
+        image.width,
+        len(mode),
+        mode == "RGBA",
+        _BYTE,
+        lambda: np.array(image.convert(mode)),
+        icc=image.info.get("icc_profile") or b"",
+        **exif_facts(image.info.get("exif") or b""),
+    )

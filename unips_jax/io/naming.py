@@ -1,0 +1,88 @@
+"""What lists and suffixes tell of a folder's files."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+from unips_jax.errors import InputError
+
+RAW_SUFFIXES = frozenset(
+    ".dng .cr2 .cr3 .crw .nef .nrw .arw .srf .sr2 .raf .rw2 .rwl .orf .pef .srw .x3f"
+    " .3fr .fff .iiq .mrw .kdc .dcr .erf .mef .mos .raw".split()
+)
+
+_BETTER = (  # of a photograph in two formats; a camera's raw file is the best
+    (".jpg", ".jpeg", ".jfif", ".mpo"),
+    (".heic", ".heif", ".avif", ".webp"),
+    (".png", ".bmp", ".tga"),
+    (".tif", ".tiff"),
+    (".exr",),
+)
+_LIST_LIMIT = 1 << 20  # bytes of a list of lights
+
+
+def listed_photographs(path: Path) -> dict[str, str]:
+    """The images that a list of lights (.lp, of RTI) names, without their folders.
+
+    Args:
+        path: a text file; its lines are an image's name and a direction.
+
+    Returns:
+        From names in lower case to names.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    try:
+        with path.open("rb") as opened:
+            text = opened.read(_LIST_LIMIT).decode(errors="replace")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    names = {}
+    for line in text.splitlines():
+        name, *direction = line.rsplit(None, 3) or [""]
+        if len(direction) == 3 and all(map(_is_number, direction)):
+            name = re.split(r"[/\\]", name.strip(' "'))[-1]
+            names[name.lower()] = name
+    return names
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def each_once(files: list[Path], left_out: dict[str, list[str]]) -> list[Path]:
+    """Each photograph once: of two formats the one that most have, or the better.
+
+    Args:
+        files: photographs; those of one name but different suffix are the same.
+        left_out: receives the others' names, by reason.
+    """
+    stems: dict[str, list[Path]] = {}
+    for file in files:
+        stems.setdefault(file.stem, []).append(file)
+    if len(stems) == len(files):
+        return files
+    most: dict[str, int] = {}
+    for file in files:
+        most[file.suffix.lower()] = most.get(file.suffix.lower(), 0) + 1
+
+    def worth(file: Path) -> tuple[int, int]:
+        suffix = file.suffix.lower()
+        if suffix in RAW_SUFFIXES:
+            known = importlib.util.find_spec("rawpy") is not None
+            return most[suffix] if known else 0, len(_BETTER)
+        better = [suffix in suffixes for suffixes in _BETTER]
+        return most[suffix], better.index(True) if True in better else -1
+
+    taken = {max(alike, key=worth) for alike in stems.values()}
+    for file in files:
+        if file not in taken:
+            kept = next(f for f in stems[file.stem] if f in taken)
+            reason = f"the same photographs as {kept.suffix}"
+            left_out.setdefault(reason, []).append(file.name)
+    return [file for file in files if file in taken]
