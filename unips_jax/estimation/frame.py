@@ -93,10 +93,22 @@ def normalize_images(images: Array, mask: Array) -> Array:
         `[N, H, W, 3]`; an all-black image stays black.
     """
     inside = mask.astype(bool)[..., None]
-    images = jnp.where(inside[None], images, 0)
+    means = image_means(images, mask)
+    return jnp.where(inside[None], images, 0) / means[:, None, None, None]
+
+
+def image_means(images: Array, mask: Array) -> Array:
+    """Each image's mean over masked pixels and channels, or 1 where that is 0: `[N]`.
+
+    Args:
+        images: `[N, H, W, 3]`.
+        mask: `[H, W]`.
+    """
+    inside = mask.astype(bool)[..., None]
     count = jnp.maximum(jnp.sum(inside) * images.shape[-1], 1)
-    mean = jnp.sum(images, axis=(1, 2, 3), keepdims=True) / count.astype(images.dtype)
-    return images / jnp.where(mean > 0, mean, 1)
+    total = jnp.sum(jnp.where(inside[None], images, 0), axis=(1, 2, 3))
+    mean = total / count.astype(images.dtype)
+    return jnp.where(mean > 0, mean, 1)
 
 
 def canonical_images(

@@ -127,28 +127,76 @@ def decode(
         Unit normals, `[P, 3]`; of two views the mean, mirrored back. With `maps` an
         `Estimate`.
     """
-    network = Network(config)
 
-    def decode_view(view: tuple[Array, Frame, Array]) -> Any:
+    def of_view(view: tuple[Array, Frame, Array]) -> Any:
         contexts, frame, mirrored = view
-        rows, columns = places
-        columns = jnp.where(mirrored, width - 1 - columns, columns)
-        cells = context_cells(rows, columns, frame, config)
-        read = jnp.swapaxes(read_contexts(contexts, *cells, config=config), 0, 1)
-        method = "decode_maps" if maps else "decode"
-        decoded: Any = network.apply(
-            {"params": params}, pixels, read, valid, method=method
+        return decode_view(
+            params,
+            contexts,
+            pixels,
+            places,
+            frame,
+            mirrored,
+            valid,
+            width=width,
+            config=config,
+            maps=maps,
         )
-        normals, *rest = decoded if maps else (decoded,)
-        signs = jnp.array([[-1, 1, 1]], normals.dtype)
-        return jnp.where(mirrored, normals * signs, normals), *rest
 
     mirrored = jnp.arange(len(contexts)) == 1
-    normals, *rest = map_views(decode_view, (contexts, frame, mirrored))
-    normals = normals[0] if len(normals) == 1 else ops.normalize(jnp.sum(normals, 0))
+    normals, *rest = map_views(of_view, (contexts, frame, mirrored))
+    normals = mean_of_views(normals)
     if not maps:
         return normals
     return Estimate(normals, *(jnp.mean(value, axis=0) for value in rest[0]))
+
+
+def decode_view(
+    params: Params,
+    contexts: Array,
+    pixels: Array,
+    places: tuple[Array, Array],
+    frame: Frame,
+    mirrored: Array | bool,
+    valid: Array | None = None,
+    *,
+    width: int | Array,
+    config: ModelConfig,
+    maps: bool = False,
+) -> Any:
+    """Normals of pixels from one view, mirrored back if it is.
+
+    Args:
+        params: the network's parameters.
+        contexts: `[N, s/4, s/4, context_dim]`, of the view.
+        pixels: see `decode`.
+        places: see `decode`; in the image that is not mirrored.
+        frame: the square of the view.
+        mirrored: whether the view is that of the mirrored images.
+        valid: see `decode`.
+        width: columns of the image.
+        config: the network's configuration.
+        maps: also give the maps of a network that has them.
+
+    Returns:
+        A tuple: unit normals, `[P, 3]`, and with `maps` a `models.heads.Maps`.
+    """
+    rows, columns = places
+    columns = jnp.where(mirrored, width - 1 - columns, columns)
+    cells = context_cells(rows, columns, frame, config)
+    read = jnp.swapaxes(read_contexts(contexts, *cells, config=config), 0, 1)
+    method = "decode_maps" if maps else "decode"
+    decoded: Any = Network(config).apply(
+        {"params": params}, pixels, read, valid, method=method
+    )
+    normals, *rest = decoded if maps else (decoded,)
+    signs = jnp.array([[-1, 1, 1]], normals.dtype)
+    return jnp.where(mirrored, normals * signs, normals), *rest
+
+
+def mean_of_views(normals: Array) -> Array:
+    """The mean of unit normals `[V, P, 3]` over the views: `[P, 3]`, unit length."""
+    return normals[0] if len(normals) == 1 else ops.normalize(jnp.sum(normals, 0))
 
 
 def estimate_normals(

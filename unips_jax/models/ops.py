@@ -1,7 +1,7 @@
 """Pure array functions the network is built from. Arrays are channels-last."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -23,6 +23,19 @@ def wide_dtype(dtype: DTypeLike) -> np.dtype:
 def leading(x: Array, ndim: int) -> Array:
     """Adds axes of length 1 before the others, up to `ndim`, to broadcast by."""
     return x.reshape((1,) * (ndim - x.ndim) + x.shape)
+
+
+def known(condition: Callable[[], Any]) -> bool:
+    """Whether a condition on shapes holds; False where a shape is not known.
+
+    Args:
+        condition: computes it. Shapes are symbols under `jax.export`, and comparing
+            these raises where it is so for some sizes only.
+    """
+    try:
+        return bool(condition())
+    except jax.core.InconclusiveDimensionOperation:
+        return False
 
 
 def resize_bilinear(x: Array, size: Sequence[int]) -> Array:

@@ -93,7 +93,7 @@ def dot_product_attention(
     logits = jnp.matmul(q, jnp.swapaxes(k, -1, -2), preferred_element_type=wide)
     bias = jnp.asarray(bias, wide)
     logits = logits * scale + ops.leading(bias, logits.ndim)
-    if k.shape[-2] <= k.shape[-1]:
+    if ops.known(lambda: k.shape[-2] <= k.shape[-1]):
         weights = dropout(jax.nn.softmax(logits, axis=-1))
         attended = jnp.matmul(weights.astype(v.dtype), v)
     else:
@@ -198,7 +198,7 @@ class SAB(nn.Module):
             )
 
         chunk = self.query_chunk
-        if chunk and deterministic and q.shape[-2] > 2 * chunk:
+        if chunk and deterministic and ops.known(lambda: q.shape[-2] > 2 * chunk):
             attended = _by_queries(attend, q, chunk)
         else:
             attended = attend(q)

@@ -1,0 +1,206 @@
+"""Networks as files that other programs load, without this package and without Flax.
+
+ONNX: `encoder.onnx` and `decoder.onnx`, for onnxruntime in any language and in
+browsers. StableHLO: `estimate.stablehlo`, one function of photographs and mask that
+`jax.export.deserialize` reads. `export.json` says what is in them. Parameters are
+inside. See docs/export.md.
+"""
+
+import functools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+
+from unips_jax.errors import InputError
+from unips_jax.export.functions import decode_pixels, encode_set, estimate
+from unips_jax.io.results import appearing_at_once, file_hash
+from unips_jax.models.config import ModelConfig, to_json
+from unips_jax.weights import params_hash
+
+Format = Literal["onnx", "stablehlo"]
+Params = Any
+
+RECORD = "export.json"
+# Of the files' inputs and outputs; a change that breaks what loads them raises it.
+VERSION = 1
+PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
+# The most photographs of a set: what is compiled for any number must know one.
+MAX_IMAGES = 256
+
+_INPUTS = {
+    "encoder": ("images", "mask"),
+    "decoder": ("contexts", "views", "gains", "pixels", "rows", "columns"),
+    "estimate": ("images", "mask"),
+}
+_OUTPUTS = {
+    "encoder": ("contexts", "views", "gains"),
+    "decoder": ("normals",),
+    "estimate": ("normals",),
+}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "encoder": encode_set,
+    "decoder": decode_pixels,
+    "estimate": estimate,
+}
+
+
+def write_export(
+    target: Path,
+    config: ModelConfig,
+    params: Params,
+    *,
+    format: Format,
+    name: str,
+    half: bool = False,
+) -> dict[str, Any]:
+    """Writes a network; all files appear, or none.
+
+    Args:
+        target: folder for the files.
+        config: the network's configuration; it computes in float32.
+        params: its parameters.
+        format: of the files.
+        name: of the weights, for the record.
+        half: round parameters to half precision first. Those that it holds exactly, as
+            the shipped ones, are stored so in any case.
+
+    Returns:
+        What `export.json` holds.
+
+    Raises:
+        InputError: if a package is missing, or the file system refuses.
+    """
+    if half:
+        params = jax.tree.map(lambda x: np.asarray(x, np.float16), params)
+    params = jax.tree.map(lambda x: np.asarray(x, np.float32), params)
+    record = {
+        "format": format,
+        "version": VERSION,
+        "weights": {"name": name, "hash": params_hash(config, params)},
+        "config": json.loads(to_json(config)),
+        **_versions(),
+    }
+    write = write_onnx if format == "onnx" else write_stablehlo
+    with appearing_at_once(target, record=RECORD) as place:
+        write(place, config, params, record)
+        files = {file.name: file_hash(file) for file in sorted(place.iterdir())}
+        record["files"] = files
+        text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
+        (place / RECORD).write_bytes(text.encode(errors="backslashreplace"))
+    return record
+
+
+def write_onnx(
+    folder: Path, config: ModelConfig, params: Params, record: dict[str, Any]
+) -> None:
+    """Writes `encoder.onnx` and `decoder.onnx`.
+
+    Args:
+        folder: where; it exists.
+        config: the network's configuration.
+        params: its parameters, NumPy arrays.
+        record: becomes the files' metadata.
+
+    Raises:
+        InputError: if onnx is not installed.
+    """
+    try:
+        import onnx
+
+        from unips_jax.export.onnx_graph import Graph
+    except ImportError as error:
+        raise _missing("onnx", error) from error
+    for name in ("encoder", "decoder"):
+        shapes = _shapes(config)
+        arguments = {key: shapes[key] for key in _INPUTS[name]}
+        function = functools.partial(_FUNCTIONS[name], config=config)
+        traced = jax.make_jaxpr(function)(params, *arguments.values())
+        graph = Graph()
+        inputs = [graph.input(key, shape) for key, shape in arguments.items()]
+        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(params)]
+        values = graph.add_jaxpr(traced.jaxpr, traced.consts, [*leaves, *inputs])
+        outputs = {
+            key: graph.whole(value, aval.shape)
+            for key, value, aval in zip(
+                _OUTPUTS[name], values, traced.out_avals, strict=True
+            )
+        }
+        metadata = {"unips_jax": json.dumps(record, sort_keys=True)}
+        model = graph.model(outputs, f"unips_{name}", metadata)
+        onnx.checker.check_model(model)
+        (folder / f"{name}.onnx").write_bytes(model.SerializeToString())
+
+
+def write_stablehlo(
+    folder: Path, config: ModelConfig, params: Params, record: dict[str, Any]
+) -> None:
+    """Writes `estimate.stablehlo`, as `jax.export` serialises a function.
+
+    Args:
+        folder: where; it exists.
+        config: the network's configuration.
+        params: its parameters, NumPy arrays.
+        record: not inside the file; for the signature's sake.
+
+    Raises:
+        InputError: if flatbuffers is not installed.
+    """
+    shapes = _shapes(config)
+    arguments = [shapes[key] for key in _INPUTS["estimate"]]
+    stored = jax.tree.map(_in_half, params)
+
+    def unips_estimate(images: jax.Array, mask: jax.Array) -> jax.Array:
+        # Kept from the compiler until it runs: it would store them in float32.
+        inside = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), stored)
+        return estimate(inside, images, mask, config=config)
+
+    exported = export.export(jax.jit(unips_estimate), platforms=PLATFORMS)(*arguments)
+    try:
+        data = exported.serialize()
+    except ImportError as error:
+        raise _missing("flatbuffers", error) from error
+    (folder / "estimate.stablehlo").write_bytes(data)
+
+
+def _shapes(config: ModelConfig) -> dict[str, Any]:
+    """Shapes and types of the functions' inputs, by their names."""
+    scope = export.SymbolicScope([f"N <= {MAX_IMAGES}"])
+    n, height, width, count = export.symbolic_shape("N, H, W, P", scope=scope)
+    views, side = 2 if config.mirror else 1, config.context_size
+    shape = jax.ShapeDtypeStruct
+    contexts = (views, n, side, side, config.context_dim)
+    return {
+        "images": shape((n, height, width, 3), jnp.float32),
+        "mask": shape((height, width), bool),
+        "contexts": shape(contexts, jnp.float32),
+        "views": shape((views, 4), jnp.int32),
+        "gains": shape((n,), jnp.float32),
+        "pixels": shape((count, n, 3), jnp.float32),
+        "rows": shape((count,), jnp.int32),
+        "columns": shape((count,), jnp.int32),
+    }
+
+
+def _in_half(x: np.ndarray) -> np.ndarray:
+    """In half precision if that holds it exactly."""
+    with np.errstate(over="ignore"):
+        half = x.astype(np.float16)
+    return half if np.array_equal(half.astype(np.float32), x) else x
+
+
+def _versions() -> dict[str, str]:
+    from unips_jax import __version__
+
+    return {"unips_jax": __version__, "jax": jax.__version__, "license": "Apache-2.0"}
+
+
+def _missing(package: str, error: Exception) -> InputError:
+    return InputError(
+        f"{package}: cannot be imported ({error}); pip install 'unips-jax[export]'"
+    )
