@@ -20,6 +20,7 @@ COMMANDS = {
     "validate": ("cli.validate", "score weights on held-out scenes"),
     "eval": ("cli.eval", "evaluate UniPS and other methods on benchmarks"),
     "render": ("cli.render", "make scenes with known normals"),
+    "export": ("cli.export", "the network as ONNX or StableHLO, for other programs"),
     "demo": ("cli.demo", "a bundled object's normals, compared with the truth"),
 }
 

@@ -6,6 +6,7 @@ browsers. StableHLO: `estimate.stablehlo`, one function of photographs and mask 
 inside. See docs/export.md.
 """
 
+import dataclasses
 import functools
 import json
 from collections.abc import Callable
@@ -63,7 +64,7 @@ def write_export(
 
     Args:
         target: folder for the files.
-        config: the network's configuration; it computes in float32.
+        config: the network's configuration; what is written computes in float32.
         params: its parameters.
         format: of the files.
         name: of the weights, for the record.
@@ -76,6 +77,7 @@ def write_export(
     Raises:
         InputError: if a package is missing, or the file system refuses.
     """
+    config = dataclasses.replace(config, dtype="float32", remat=False)
     if half:
         params = jax.tree.map(lambda x: np.asarray(x, np.float16), params)
     params = jax.tree.map(lambda x: np.asarray(x, np.float32), params)
@@ -156,8 +158,10 @@ def write_stablehlo(
     stored = jax.tree.map(_in_half, params)
 
     def unips_estimate(images: jax.Array, mask: jax.Array) -> jax.Array:
-        # Kept from the compiler until it runs: it would store them in float32.
-        inside = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), stored)
+        # `jnp.asarray` would convert them here, and double the file.
+        inside = jax.tree.map(
+            lambda x: jax.lax.convert_element_type(x, jnp.float32), stored
+        )
         return estimate(inside, images, mask, config=config)
 
     exported = export.export(jax.jit(unips_estimate), platforms=PLATFORMS)(*arguments)

@@ -1,9 +1,9 @@
 """What is exported: functions of photographs alone, with shapes that are not known.
 
-They compute what `estimate_normals` computes, and all of it (frame, antialiased resize,
-mirrored view, reading of the contexts), so that what loads them needs to know none of
-this. `N` photographs, `H` rows and `W` columns, and `P` pixels are symbols when they are
-traced; no shape may depend on values.
+They compute what `estimate_normals` computes, and all of it (frame, antialiased
+resize, mirrored view, reading of the contexts), so that what loads them needs to know
+none of this. `N` photographs, `H` rows and `W` columns, and `P` pixels are symbols when
+they are traced; no shape may depend on values.
 """
 
 from typing import Any, NamedTuple
@@ -109,7 +109,7 @@ def decode_pixels(
             i == 1,
             width=views[i, 3],
             config=config,
-        )
+        )[0]
         for i in range(contexts.shape[0])
     ]
     return mean_of_views(jnp.stack(normals))

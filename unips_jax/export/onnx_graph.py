@@ -208,7 +208,8 @@ class Graph:
 
         def read(atom: Any) -> Value:
             if isinstance(atom, core.Literal):
-                return np.asarray(atom.val, atom.aval.dtype)
+                aval: Any = atom.aval
+                return np.asarray(atom.val, aval.dtype)
             return values[atom]
 
         for variable, const in zip(jaxpr.constvars, consts, strict=True):
@@ -223,7 +224,9 @@ class Graph:
         name, params = equation.primitive.name, equation.params
         if name in CALLS:
             called = params[CALLS[name]]
-            inner = called if hasattr(called, "consts") else core.ClosedJaxpr(called, ())
+            inner = (
+                called if hasattr(called, "consts") else core.ClosedJaxpr(called, ())
+            )
             return self.add_jaxpr(inner.jaxpr, inner.consts, inputs)
         if _is_constant(equation, inputs):
             avals = [atom.aval for atom in equation.invars]

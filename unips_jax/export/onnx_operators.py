@@ -189,7 +189,7 @@ def _split(graph: "Graph", equation: Any, inputs: list["Value"]) -> list["Tensor
 def _iota(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
     shape, axis = equation.params["shape"], equation.params["dimension"]
     size = graph.reshape(graph.dim(shape[axis]), ())
-    zero, one = np.int64(0), np.int64(1)
+    zero, one = np.array(0, np.int64), np.array(1, np.int64)
     numbers = graph.node("Range", [zero, size, one], ((shape[axis],), np.int64))
     aligned = [d if i == axis else 1 for i, d in enumerate(shape)]
     return graph.cast(graph.reshape(numbers, aligned), _aval(equation)[1])
@@ -257,7 +257,10 @@ def _convolution(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value
     before, after = zip(*params["padding"], strict=True)
     value = graph.node(
         "Conv",
-        [graph.transpose(x, numbers.lhs_spec), graph.transpose(kernel, numbers.rhs_spec)],
+        [
+            graph.transpose(x, numbers.lhs_spec),
+            graph.transpose(kernel, numbers.rhs_spec),
+        ],
         ([shape[i] for i in numbers.out_spec], dtype),
         strides=list(params["window_strides"]),
         pads=[*before, *after],
@@ -301,8 +304,10 @@ def _gather(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
     index = graph.cast(graph.reshape(index, places), np.int64)
     if known:
         return graph.node("Gather", [x, index], (shape, dtype), axis=axis)
-    last = graph.node("Sub", [graph.dim(x.shape[axis]), np.int64(1)], ((1,), np.int64))
-    inside = graph.node("Max", [index, np.int64(0)], (places, np.int64))
+    last = graph.node(
+        "Sub", [graph.dim(x.shape[axis]), np.array(1, np.int64)], ((1,), np.int64)
+    )
+    inside = graph.node("Max", [index, np.array(0, np.int64)], (places, np.int64))
     inside = graph.node("Min", [inside, last], (places, np.int64))
     value = graph.node("Gather", [x, inside], (shape, dtype), axis=axis)
     if params["mode"] == GatherScatterMode.CLIP:
@@ -330,9 +335,7 @@ def _lines(index: "Value") -> list[np.ndarray] | None:
     return lines
 
 
-def _one_slice(
-    graph: "Graph", x: "Value", index: np.ndarray, equation: Any
-) -> "Value":
+def _one_slice(graph: "Graph", x: "Value", index: np.ndarray, equation: Any) -> "Value":
     """What `x[3]` becomes where a dimension is a symbol; the place is known."""
     params, (shape, dtype) = equation.params, _aval(equation)
     axes, sizes = params["dimension_numbers"].start_index_map, params["slice_sizes"]

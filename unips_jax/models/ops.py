@@ -34,7 +34,7 @@ def known(condition: Callable[[], Any]) -> bool:
     """
     try:
         return bool(condition())
-    except jax.core.InconclusiveDimensionOperation:
+    except jax.errors.InconclusiveDimensionOperation:
         return False
 
 
