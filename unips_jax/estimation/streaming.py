@@ -112,7 +112,7 @@ def _estimate(
 ) -> list[np.ndarray]:
     """The arrays of an `Estimate`, or its normals alone."""
     n = images.shape[0]
-    bucket = next((b for b in _BUCKETS if b >= n), n)
+    bucket = padded_size(n)
     valid = np.arange(bucket) < n
     views = [(images, mask)]
     if config.mirror:
@@ -120,7 +120,7 @@ def _estimate(
     encoded = []
     for view in views:
         # The gains are the same for both views.
-        inputs, square, gains = _canonical_photographs(
+        inputs, square, gains = canonical_photographs(
             *view, bucket, frame, transfer, config
         )
         contexts = _encode_jit(
@@ -157,13 +157,18 @@ def _estimate(
     return results
 
 
+def padded_size(count: int) -> int:
+    """The number of images that a set of so many is padded to."""
+    return next((b for b in _BUCKETS if b >= count), count)
+
+
 _encode_jit = jax.jit(encode, static_argnames=("config", "uniform_contexts"))
 
 
 _decode_jit = jax.jit(decode, static_argnames=("config", "maps"))
 
 
-def _canonical_photographs(
+def canonical_photographs(
     images: np.ndarray,
     mask: np.ndarray,
     bucket: int,
@@ -171,7 +176,16 @@ def _canonical_photographs(
     transfer: Transfer,
     config: ModelConfig,
 ) -> tuple[np.ndarray, Frame, np.ndarray]:
-    """What the encoder sees, `[bucket, s, s, 4]`, its frame, the photographs' gains."""
+    """What the encoder sees, `[bucket, s, s, 4]`, its frame, the photographs' gains.
+
+    Args:
+        images: `[N, H, W, 3]`, uint8, uint16 or float32.
+        mask: `[H, W]`, bool.
+        bucket: at least N.
+        kind: what the frame surrounds.
+        transfer: how values encode light.
+        config: the network's configuration.
+    """
     frame = square_frame(mask, kind)
     size = config.canonical_size
     resize = tuple(

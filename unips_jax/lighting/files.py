@@ -1,0 +1,144 @@
+"""Lights, base colour and relightable pictures on disk.
+
+lights.json       each photograph's light
+lights.lp         directions, as RTI software reads them
+relight.ptm       a polynomial texture map
+base_color.exr    linear, float32
+base_color.png    16 bits, sRGB
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unips_jax.io.color import Transfer, as_linear, srgb_encode
+from unips_jax.io.images import write_exr, write_image
+from unips_jax.lighting.lights import (
+    Lights,
+    albedo_scales,
+    irradiance,
+    robust_albedo,
+)
+
+_ROWS = 64
+_SAMPLE = 20000
+_BRIGHT = 0.8  # base colour that the brightest percent is brought to
+
+
+def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
+    """Writes `lights.json` and `lights.lp`.
+
+    Args:
+        folder: where; it exists.
+        names: the photographs' files.
+        lights: their lights.
+    """
+    photographs = [
+        {
+            "file": name,
+            "direction": _rounded(lights.directions[index]),
+            "directness": _rounded(lights.directness[index]),
+            "color": _rounded(lights.colors[index]),
+            "intensity": _rounded(lights.colors[index].mean()),
+            "harmonics": _rounded(lights.harmonics[index]),
+        }
+        for index, name in enumerate(names)
+    ]
+    content = {
+        "conventions": {
+            "frame": "x right, y up, z towards the viewer",
+            "direction": "unit, to the key light or, in surroundings, of all light's "
+            "mean",
+            "directness": "1 for a lamp, 0 for light equally from everywhere",
+            "color": "irradiance of the key on what faces it, linear, relative to the "
+            "photographs' mean of all light",
+            "intensity": "mean of the color",
+            "harmonics": "radiance of all light in the same unit, [9][red, green, "
+            "blue]: real, orthonormal, in the order 1, y, z, x, xy, yz, 3z^2 - 1, xz, "
+            "x^2 - y^2",
+        },
+        "photographs": photographs,
+    }
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    (folder / "lights.json").write_bytes(text.encode(errors="backslashreplace"))
+    lines = [str(len(names))]
+    for name, direction in zip(names, lights.directions, strict=True):
+        lines.append(f"{name} {' '.join(f'{x:.6f}' for x in direction)}")
+    text = "\n".join(lines) + "\n"
+    (folder / "lights.lp").write_bytes(text.encode(errors="surrogateescape"))
+
+
+def write_base_color(
+    folder: Path,
+    images: np.ndarray,
+    normals: np.ndarray,
+    mask: np.ndarray,
+    lights: Lights,
+    *,
+    transfer: Transfer = "linear",
+) -> dict[str, Any]:
+    """Finds the base colour of every pixel, and writes `base_color.exr` and `.png`.
+
+    The albedo that explains the photographs best, for matt surfaces, shadows and
+    highlights spared; up to one factor, and to the lights' common colour.
+
+    Args:
+        folder: where; it exists.
+        images: `[N, H, W, 3]`, uint8, uint16 or float32.
+        normals: `[H, W, 3]`, 0 where there is none.
+        mask: `[H, W]`, bool.
+        lights: from `estimate_lights`.
+        transfer: how values encode light.
+
+    Returns:
+        For the record.
+    """
+    color = base_color(images, normals, mask, lights, transfer=transfer)
+    import OpenEXR
+
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "comments": "base colour, linear, up to a factor; 0: no surface",
+    }
+    write_exr(folder / "base_color.exr", {"RGB": color}, header)
+    encoded = np.rint(65535 * srgb_encode(color)).astype(np.uint16)
+    write_image(folder / "base_color.png", encoded)
+    return {"scale": f"the brightest percent is {_BRIGHT}", "transfer": "png srgb"}
+
+
+def base_color(
+    images: np.ndarray,
+    normals: np.ndarray,
+    mask: np.ndarray,
+    lights: Lights,
+    *,
+    transfer: Transfer = "linear",
+) -> np.ndarray:
+    """The base colour, `[H, W, 3]`, float32, in [0, 1]; arguments as above."""
+    color = np.zeros((*mask.shape, 3), np.float32)
+    mask = mask & (normals != 0).any(-1)
+    rows, columns = np.nonzero(mask)
+    pick = np.random.default_rng(0).permutation(rows.size)[:_SAMPLE]
+    some = rows[pick], columns[pick]
+    scales = albedo_scales(
+        as_linear(images[:, *some], transfer), irradiance(lights, normals[some])
+    )
+    for top in range(0, len(mask), _ROWS):
+        inside = mask[top : top + _ROWS]
+        if inside.any():
+            pixels = as_linear(images[:, top : top + _ROWS][:, inside], transfer)
+            light = irradiance(lights, normals[top : top + _ROWS][inside])
+            color[top : top + _ROWS][inside] = robust_albedo(
+                pixels, light, scales=scales
+            )
+    if mask.any():
+        color *= _BRIGHT / max(float(np.quantile(color[mask].max(-1), 0.99)), 1e-12)
+    return np.clip(color, 0, 1)
+
+
+def _rounded(values: np.ndarray) -> Any:
+    return np.round(np.asarray(values, float), 6).tolist()

@@ -1,0 +1,291 @@
+"""The light of each photograph, from photographs and normals, in linear light.
+
+A matt surface's pixel is albedo times irradiance; a photograph's irradiance is that of
+one lamp, the positive part of the cosine, plus that of smooth surroundings, spherical
+harmonics of order two (Ramamoorthi and Hanrahan, SIGGRAPH 2001). Lights and albedos are
+found in turns by least squares whose weights spare shadows and highlights.
+
+Directions: least squares explain what is glossy by lights that are too oblique (the
+contrast between photographs is larger than a matt surface's). The network's guesses of
+the mean directions are far better and are taken as they are; without them directions
+are fitted too, which suits matt objects under lamps alone. What a photograph's
+exposure, the lights' common colour and the albedo have in common cannot be told apart:
+lights are relative to the photographs' mean.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from unips_jax.io.color import Transfer, as_linear
+from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
+
+_SAMPLE = 8000  # pixels
+_ROUNDS = 8
+_USUAL = 0.5  # irradiance, where what faces the light has about 1
+_FADE = 0.08  # irradiance: what is darker says little
+_CUT = 2.0  # residuals above so many deviations lose their weight
+_AMBIENT = 0.05  # of the squared albedos: pull of the surroundings to their prior
+
+
+class Lights(NamedTuple):
+    """The lights of N photographs.
+
+    Attributes:
+        directions: `[N, 3]`, unit, to the key light; with surroundings, the mean
+            direction of all light.
+        directness: `[N]`, 1 for one lamp, 0 for light equally from everywhere.
+        colors: `[N, 3]`, irradiance of the key light on what faces it. Over the
+            photographs the whole light's irradiance there has mean 1 in each colour.
+        harmonics: `[N, 9, 3]`, radiance of all light, the key's too; see
+            `unips_jax.lighting.harmonics`.
+        surroundings: `[N, 9, 3]`, radiance of all but the key.
+    """
+
+    directions: np.ndarray
+    directness: np.ndarray
+    colors: np.ndarray
+    harmonics: np.ndarray
+    surroundings: np.ndarray
+
+
+class Scales(NamedTuple):
+    """What is usual among an image's pixels.
+
+    Attributes:
+        albedo: `[3]`.
+        residuals: `[N, 1, 3]`, deviations of pixel over albedo from irradiance.
+    """
+
+    albedo: np.ndarray
+    residuals: np.ndarray
+
+
+def estimate_lights(
+    images: np.ndarray,
+    normals: np.ndarray,
+    mask: np.ndarray | None = None,
+    *,
+    guesses: np.ndarray | None = None,
+    transfer: Transfer = "linear",
+) -> Lights:
+    """Estimates the light of each photograph.
+
+    Args:
+        images: `[N, H, W, 3]`, uint8, uint16 or float32.
+        normals: `[H, W, 3]`, x right, y up, z towards the viewer, 0 where there is
+            none.
+        mask: `[H, W]`, above 0 on the object; None: where there are normals.
+        guesses: `[N, 3]`, the lights' mean directions, 1 long for a lamp, shorter for
+            scattered light, as `guess_lights` gives them; None: they are fitted.
+        transfer: how values encode light.
+
+    Returns:
+        The lights.
+
+    Raises:
+        ValueError: if shapes do not fit, or no pixel has a normal.
+    """
+    pixels, normal = _sample(images, normals, mask, transfer)
+    count = len(pixels)
+    if guesses is not None and np.shape(guesses) != (count, 3):
+        raise ValueError(
+            f"guesses: expected [N, 3] = {(count, 3)}, got {np.shape(guesses)}"
+        )
+    scale = np.maximum(pixels.mean((1, 2)), 1e-12)[:, None, None]
+    pixels = pixels / scale
+    if guesses is None:
+        directions = _fitted_directions(pixels.mean(-1), normal)
+        directness = np.ones(count)
+    else:
+        length = np.linalg.norm(guesses, axis=-1)
+        directions = np.where(length[:, None] > 1e-6, guesses, [0.0, 0.0, 1.0])
+        directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+        directness = np.clip(length, 0, 1)
+    coefficients = _fitted_light(pixels, normal, directions, directness)
+    return _lights(coefficients * scale, directions, directness)
+
+
+def irradiance(lights: Lights, normals: np.ndarray) -> np.ndarray:
+    """Irradiance on surfaces, without cast shadows: `[N, P, 3]`, at least 0.
+
+    Args:
+        lights: of N photographs.
+        normals: `[P, 3]`, unit.
+    """
+    cosine = np.maximum(lights.directions @ normals.T, 0)
+    coefficients = COSINE_LOBE[BAND][:, None] * lights.surroundings
+    around = harmonics(normals) @ coefficients  # [N, P, 3]
+    return np.maximum(cosine[..., None] * lights.colors[:, None] + around, 0)
+
+
+def robust_albedo(
+    pixels: np.ndarray,
+    light: np.ndarray,
+    *,
+    scales: Scales | None = None,
+    rounds: int = 3,
+) -> np.ndarray:
+    """Albedo that explains pixels best, but for shadows and highlights.
+
+    Args:
+        pixels: `[N, P, 3]`.
+        light: `[N, P, 3]`, irradiance (over pi: radiance of a white matt surface).
+        scales: of more pixels than these, so that parts of an image fit together;
+            None: of these.
+        rounds: of reweighting.
+
+    Returns:
+        `[P, 3]`, above 0. With two photographs or fewer nothing is spared.
+    """
+    weight = known = np.clip(light / _FADE, 0, 1)
+    typical = None if scales is None else scales.albedo
+    albedo = _quotient(weight, pixels, light, typical)
+    for _ in range(rounds if len(pixels) > 2 else 0):
+        size = None if scales is None else scales.residuals
+        weight = known * _spared(pixels, light, albedo, size)
+        albedo = _quotient(weight, pixels, light, typical)
+    return albedo
+
+
+def albedo_scales(pixels: np.ndarray, light: np.ndarray) -> Scales:
+    """What `robust_albedo` compares pixels with; arguments as there."""
+    albedo = robust_albedo(pixels, light)
+    return Scales(np.median(albedo, axis=0), _size(pixels / albedo - light))
+
+
+def _quotient(
+    weight: np.ndarray,
+    pixels: np.ndarray,
+    light: np.ndarray,
+    typical: np.ndarray | None,
+) -> np.ndarray:
+    above, below = (weight * light * pixels).sum(0), (weight * light * light).sum(0)
+    if typical is None:
+        typical = np.median(above / np.maximum(below, 1e-12), axis=0)
+    # A faint pull to the typical albedo decides where no photograph says anything.
+    faint = 1e-2 * _USUAL**2
+    return np.maximum((above + faint * typical) / (below + faint), 1e-4 * typical)
+
+
+def _spared(
+    pixels: np.ndarray,
+    light: np.ndarray,
+    albedo: np.ndarray,
+    size: np.ndarray | None = None,
+) -> np.ndarray:
+    """Weights of pixels, small where the model is far from them: `[N, P, 3]`."""
+    off = pixels / np.maximum(albedo, 1e-12) - light
+    size = _size(off) if size is None else size
+    return 1 / (1 + (off / (_CUT * size)) ** 2)
+
+
+def _size(off: np.ndarray) -> np.ndarray:
+    """Deviations, robust, of each photograph and colour: `[N, 1, 3]`."""
+    return np.median(np.abs(off), axis=1, keepdims=True) * 1.4826 + 1e-9
+
+
+def _sample(
+    images: np.ndarray,
+    normals: np.ndarray,
+    mask: np.ndarray | None,
+    transfer: Transfer,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Some pixels, `[N, P, 3]`, and their normals, `[P, 3]`; float64."""
+    if images.ndim != 4 or images.shape[-1] != 3:
+        raise ValueError(f"images: expected [N, H, W, 3], got {images.shape}")
+    size = images.shape[1:3]
+    if normals.shape != (*size, 3):
+        raise ValueError(
+            f"normals: expected {(*size, 3)} as of the images, got {normals.shape}"
+        )
+    if mask is not None and mask.shape != size:
+        raise ValueError(f"mask: expected {size} as of the images, got {mask.shape}")
+    there = np.isfinite(normals).all(-1) & (normals != 0).any(-1)
+    rows, columns = np.nonzero(there if mask is None else there & (mask > 0))
+    if not rows.size:
+        raise ValueError("normals: expected some inside the mask, got none")
+    pick = np.random.default_rng(0).permutation(rows.size)[:_SAMPLE]
+    rows, columns = rows[pick], columns[pick]
+    pixels = as_linear(images[:, rows, columns], transfer).astype(np.float64)
+    normal = normals[rows, columns].astype(np.float64)
+    return pixels, normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+
+def _fitted_directions(grey: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Directions of lamps, `[N, 3]`, from `grey [N, P]`, in turns with the albedo."""
+    # The first albedo: as if all lights together came from the viewer.
+    albedo = grey.mean(0) / np.maximum(normal[:, 2], 0.3)
+    if len(grey) < 3:
+        albedo = np.ones_like(albedo)
+    weight = np.ones_like(grey)
+    lights = np.zeros((len(grey), 3))
+    lit = np.ones_like(grey)
+    for _ in range(2 * _ROUNDS):
+        for index, values in enumerate(grey):
+            basis = (albedo * lit[index])[:, None] * normal
+            gram = basis.T @ (weight[index][:, None] * basis)
+            gram += np.eye(3) * 1e-3 * np.trace(gram) / 3
+            lights[index] = np.linalg.solve(gram, basis.T @ (weight[index] * values))
+        shading = np.maximum(lights @ normal.T, 0)
+        lit = (shading > 0).astype(float)
+        if len(grey) > 2:
+            albedo = robust_albedo(grey[..., None], shading[..., None], rounds=0)[:, 0]
+        weight = _spared(grey[..., None], shading[..., None], albedo[:, None])[..., 0]
+    length = np.linalg.norm(lights, axis=-1, keepdims=True)
+    return np.where(length > 1e-9, lights / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
+
+
+def _fitted_light(
+    pixels: np.ndarray,
+    normal: np.ndarray,
+    directions: np.ndarray,
+    directness: np.ndarray,
+) -> np.ndarray:
+    """The key's and the surroundings' irradiance, `[N, 10, 3]`, in turns with albedo.
+
+    Rows: the key's color, then the coefficients of the surroundings' irradiance.
+    """
+    cosine = np.maximum(directions @ normal.T, 0)  # [N, P]
+    smooth = harmonics(normal)  # [P, 9]
+    # Even light of power 1 gives everything an irradiance of a quarter.
+    share = np.clip(directness, 0.05, 1)
+    prior = np.zeros((len(pixels), 10))
+    prior[:, 0], prior[:, 1] = share, (1 - share) / 4 / smooth[0, 0]
+    pull = _AMBIENT * np.array([0.02, *(1 + 2.0 * BAND)])
+    found = np.repeat(prior[..., None], 3, -1)
+    for _ in range(_ROUNDS):
+        light = np.maximum(
+            cosine[..., None] * found[:, :1] + smooth @ found[:, 1:], 1e-3
+        )
+        albedo = robust_albedo(pixels, light, rounds=2)
+        if len(pixels) < 3:
+            albedo = np.broadcast_to(np.median(albedo, 0), albedo.shape)
+        weight = _spared(pixels, light, albedo)
+        for index, color in np.ndindex(len(pixels), 3):
+            basis = np.concatenate([cosine[index][:, None], smooth], 1)
+            basis = basis * albedo[:, color, None]
+            weighed = basis * weight[index, :, color, None]
+            gram = weighed.T @ basis
+            strength = pull * np.trace(gram) / 10
+            values = weighed.T @ pixels[index, :, color]
+            size = found[index, 0, color] / prior[index, 0]
+            solution = np.linalg.solve(
+                gram + np.diag(strength), values + strength * prior[index] * size
+            )
+            solution[0] = max(solution[0], 1e-3 * size)
+            found[index, :, color] = solution
+    return found
+
+
+def _lights(
+    coefficients: np.ndarray, directions: np.ndarray, directness: np.ndarray
+) -> Lights:
+    """Brings coefficients `[N, 10, 3]` to the mean of the photographs."""
+    towards = harmonics(directions)  # [N, 9]
+    facing = coefficients[:, 0] + np.einsum("nk,nkc->nc", towards, coefficients[:, 1:])
+    coefficients = coefficients / np.maximum(facing.mean(0), 1e-12)
+    around = coefficients[:, 1:] / COSINE_LOBE[BAND][:, None]
+    colors = coefficients[:, 0]
+    whole = around + towards[..., None] * colors[:, None]
+    return Lights(directions, directness, colors, whole, around)
