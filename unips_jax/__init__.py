@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         estimate_photographs,
     )
     from unips_jax.io.photographs import read_photographs
+    from unips_jax.lighting.lights import estimate_lights
     from unips_jax.lighting.relight import DistantLights, Materials, relight
     from unips_jax.metrics import angular_error_deg
     from unips_jax.models.config import ModelConfig
@@ -45,6 +46,7 @@ __all__ = [
     "__version__",
     "angular_error_deg",
     "estimate_maps",
+    "estimate_lights",
     "estimate_normals",
     "estimate_photograph_maps",
     "estimate_photographs",
@@ -62,6 +64,7 @@ _MODULES = {
     "ModelConfig": "models.config",
     "angular_error_deg": "metrics",
     "estimate_maps": "estimation.pure",
+    "estimate_lights": "lighting.lights",
     "estimate_normals": "estimation.pure",
     "estimate_photograph_maps": "estimation.streaming",
     "estimate_photographs": "estimation.streaming",

@@ -18,6 +18,7 @@ from unips_jax.capture.masks import TRUSTED
 from unips_jax.capture.prepare import in_place, still, with_suggested_mask
 from unips_jax.console import progress, track
 from unips_jax.errors import InputError
+from unips_jax.estimation.beyond import Beyond, look_beyond, write_beyond
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import write_image
@@ -55,6 +56,7 @@ from unips_jax.surface.outputs import (
 # What the results follow from, beside photographs, weights and options.
 _CODE = (
     "estimation.streaming",
+    "estimation.beyond",
     "capture.check",
     "capture.prepare",
     "io.photographs",
@@ -93,6 +95,7 @@ class Estimate:
         record: the content of `normals.json`, less the files' hashes.
         focal: in pixels, if there is a depth to write and its camera is not
             orthographic.
+        beyond: lights and confidence, where they are wanted.
     """
 
     images: np.ndarray
@@ -101,6 +104,7 @@ class Estimate:
     normals: np.ndarray
     record: dict[str, Any]
     focal: float | None = None
+    beyond: Beyond = Beyond()
 
 
 def load_network(source: str = "tiny") -> Network:
@@ -160,7 +164,7 @@ def estimate_folder(
     Raises:
         InputError: if something cannot be read, used or written.
     """
-    options = options or FolderOptions()
+    options = (options or FolderOptions()).spelled_out()
     options.check()
     check_target(target, folder)
     clear_leftovers(target.parent)
@@ -249,7 +253,16 @@ def estimate_selection(
             f"{bad} of {np.count_nonzero(mask)} pixels; nothing was written. Look for "
             "extreme values in the photographs, or try other weights"
         )
-    return Estimate(images, mask, transfer, normals, record, focal)
+    look = functools.partial(
+        look_beyond,
+        *(network.config, network.params, images, mask, normals, transfer, options),
+    )
+    if verbose and options.confidence:
+        with progress("estimating confidence") as report:
+            beyond = look(progress=report)
+    else:
+        beyond = look()
+    return Estimate(images, mask, transfer, normals, record, focal, beyond)
 
 
 def write_estimate(
@@ -314,6 +327,10 @@ def write_estimate(
             )
             if verbose:
                 print_surface(record["surface"])
+        record |= write_beyond(
+            *(place, estimate.beyond, estimate.images, estimate.mask),
+            *(estimate.normals, estimate.transfer, list(record["images"]), options),
+        )
         if options.view:
             _write_view(place, target.name, estimate, record)
         if more is not None:

@@ -39,6 +39,12 @@ class FolderOptions:
         normal_map: green of PNG and EXR is up (opengl) or down (directx).
         depth: also write depth.exr, depth.png and height.png; see `unips surface`.
         mesh: also write a mesh, and the depth.
+        lights: also write each photograph's light, lights.json and lights.lp.
+        base_color: also write base_color.exr and base_color.png, the albedo.
+        rti: also write relight.ptm, a polynomial texture map.
+        confidence: also write the normals' expected error, confidence.exr and .png, and
+            unreliable.png, a mask; triples the time.
+        all: write all of these, the depth and a mesh (GLB).
         view: also write view.html, to look at in a browser; see `unips view`.
         focal: focal length of the depth's camera in pixels, or exif, of the first
             photograph; without it the camera is orthographic.
@@ -61,8 +67,29 @@ class FolderOptions:
     normal_map: NormalMap = "opengl"
     depth: bool = False
     mesh: MeshFormat | None = None
+    lights: bool = False
+    base_color: bool = False
+    rti: bool = False
+    confidence: bool = False
+    all: bool = False
     view: bool = False
     focal: str | None = None
+
+    def spelled_out(self) -> "FolderOptions":
+        """The same options with what `all` stands for."""
+        if not self.all:
+            return self
+        return dataclasses.replace(
+            self,
+            all=False,
+            depth=True,
+            mesh=self.mesh or "glb",
+            lights=True,
+            base_color=True,
+            rti=True,
+            confidence=True,
+            view=True,
+        )
 
     def check(self) -> None:
         """Checks what the types do not.

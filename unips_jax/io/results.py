@@ -20,7 +20,9 @@ from unips_jax.errors import InputError
 RECORD = "normals.json"
 _RESULTS = frozenset(
     "normals.png normals.npy normals.exr normals.mat sheet.png depth.exr depth.png "
-    "height.png mesh.ply mesh.obj mesh.glb view.html".split()
+    "height.png mesh.ply mesh.obj mesh.glb view.html lights.json lights.lp "
+    "base_color.exr base_color.png relight.ptm confidence.exr confidence.png "
+    "unreliable.png".split()
     + [RECORD]
 )
 # Names that say nothing of the results': those may be as long as names can be.

@@ -31,7 +31,8 @@ _UNREAD_SUFFIXES = frozenset(".jxl .jp2 .psd .xcf .svg .pdf".split())
 _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?"
 _MAP_NAME = re.compile(
     # Such a word of its own.
-    rf"\b(?:{_MAP_WORDS}|albedo|gt)\b|^shading\b|^sheet$|^height$",
+    rf"\b(?:{_MAP_WORDS}|albedo|gt)\b|^shading\b|^sheet$|^height$"
+    r"|^confidence$|^unreliable$",
     re.IGNORECASE,
 )
 _MAP_ONLY = re.compile(

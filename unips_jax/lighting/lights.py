@@ -22,10 +22,11 @@ from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
 
 _SAMPLE = 8000  # pixels
 _ROUNDS = 8
+_DIRECTION_ROUNDS = 60
 _USUAL = 0.5  # irradiance, where what faces the light has about 1
 _FADE = 0.08  # irradiance: what is darker says little
 _CUT = 2.0  # residuals above so many deviations lose their weight
-_AMBIENT = 0.05  # of the squared albedos: pull of the surroundings to their prior
+_AMBIENT = 0.3  # of the squared albedos: pull of the surroundings to their prior
 
 
 class Lights(NamedTuple):
@@ -221,7 +222,7 @@ def _fitted_directions(grey: np.ndarray, normal: np.ndarray) -> np.ndarray:
     weight = np.ones_like(grey)
     lights = np.zeros((len(grey), 3))
     lit = np.ones_like(grey)
-    for _ in range(2 * _ROUNDS):
+    for _ in range(_DIRECTION_ROUNDS):
         for index, values in enumerate(grey):
             basis = (albedo * lit[index])[:, None] * normal
             gram = basis.T @ (weight[index][:, None] * basis)

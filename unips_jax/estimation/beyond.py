@@ -1,0 +1,158 @@
+"""What a folder's results hold beyond normals and depth, each on request.
+
+--lights       lights.json, lights.lp
+--base-color   base_color.exr, base_color.png
+--rti          relight.ptm
+--confidence   confidence.exr, confidence.png, unreliable.png
+"""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from unips_jax.estimation.options import FolderOptions
+from unips_jax.io.color import Transfer
+from unips_jax.io.images import write_exr, write_image
+from unips_jax.lighting.lights import Lights
+from unips_jax.models.config import ModelConfig
+
+UNRELIABLE_DEG = 15.0  # expected error above which a pixel is in the mask
+
+
+class Beyond(NamedTuple):
+    """What the network has to be asked for.
+
+    Attributes:
+        lights: of the photographs, None unless wanted.
+        confidence: `[H, W]`, expected error in degrees, None unless wanted.
+    """
+
+    lights: Lights | None = None
+    confidence: np.ndarray | None = None
+
+
+def look_beyond(
+    config: ModelConfig,
+    params: Any,
+    images: np.ndarray,
+    mask: np.ndarray,
+    normals: np.ndarray,
+    transfer: Transfer,
+    options: FolderOptions,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Beyond:
+    """Estimates lights and confidence, as far as the options want them.
+
+    Args:
+        config: the network's configuration.
+        params: its parameters.
+        images: `[N, H, W, 3]`, uint8, uint16 or float32.
+        mask: `[H, W]`, bool.
+        normals: `[H, W, 3]`, the estimate.
+        transfer: how values encode light.
+        options: what is wanted.
+        progress: called with the numbers of pixels done and to do.
+    """
+    known: dict[str, Any] = {
+        "config": config,
+        "transfer": transfer,
+        "frame": "image" if options.reader == "official" else "mask",
+    }
+    lights, confidence = None, None
+    if options.lights or options.base_color or options.rti:
+        from unips_jax.estimation.lights import guess_lights
+        from unips_jax.lighting.lights import estimate_lights
+
+        guesses = guess_lights(params, images, mask, **known)
+        lights = estimate_lights(
+            images, normals, mask, guesses=guesses, transfer=transfer
+        )
+    if options.confidence:
+        from unips_jax.estimation.confidence import expected_error, normal_spread
+
+        spread = functools.partial(normal_spread, params, images, mask, normals)
+        confidence = expected_error(spread(**known, progress=progress)) * mask
+    return Beyond(lights, confidence)
+
+
+def write_beyond(
+    folder: Path,
+    beyond: Beyond,
+    images: np.ndarray,
+    mask: np.ndarray,
+    normals: np.ndarray,
+    transfer: Transfer,
+    names: list[str],
+    options: FolderOptions,
+) -> dict[str, Any]:
+    """Writes what the options want.
+
+    Args:
+        folder: where; it exists.
+        beyond: from `look_beyond`.
+        images: as there.
+        mask: as there.
+        normals: as there.
+        transfer: as there.
+        names: the photographs' files.
+        options: as there.
+
+    Returns:
+        For the record.
+    """
+    facts: dict[str, Any] = {}
+    lights = beyond.lights
+    if lights is not None:
+        from unips_jax.lighting.files import write_base_color, write_lights
+        from unips_jax.lighting.ptm import write_ptm
+
+        if options.lights:
+            write_lights(folder, names, lights)
+        if options.base_color:
+            facts["base_color"] = write_base_color(
+                folder, images, normals, mask, lights, transfer=transfer
+            )
+        if options.rti:
+            path = folder / "relight.ptm"
+            facts["rti"] = write_ptm(path, images, mask, lights, transfer=transfer)
+    if beyond.confidence is not None:
+        facts["confidence"] = write_confidence(folder, beyond.confidence, mask)
+    return facts
+
+
+def write_confidence(
+    folder: Path, error: np.ndarray, mask: np.ndarray
+) -> dict[str, Any]:
+    """Writes `confidence.exr`, `confidence.png` and `unreliable.png`.
+
+    Args:
+        folder: where; it exists.
+        error: `[H, W]`, expected error in degrees.
+        mask: `[H, W]`, bool.
+
+    Returns:
+        For the record: what levels mean, and the mean.
+    """
+    import OpenEXR
+
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "comments": "expected error of the normals in degrees; NaN: no surface",
+    }
+    outside = np.where(mask, error, np.nan).astype(np.float32)
+    write_exr(folder / "confidence.exr", {"Y": outside}, header)
+    levels = np.where(mask, np.clip(np.rint(error * 100), 1, 65535), 0)
+    write_image(folder / "confidence.png", levels.astype(np.uint16))
+    bad = mask & (error > UNRELIABLE_DEG)
+    write_image(folder / "unreliable.png", bad.astype(np.uint8) * 255)
+    return {
+        "confidence.png": "expected error of the normals = level / 100 degrees; 0: no "
+        "surface",
+        "unreliable.png": f"255 where above {UNRELIABLE_DEG:g} degrees are expected",
+        "mean_deg": float(error[mask].mean()),
+    }
