@@ -130,7 +130,7 @@ def write_ptm(
         for block in stored:
             file.write(np.ascontiguousarray(block[::-1]).tobytes())
     mean = error / max(rows.size * count * 3, 1)
-    return {"white": white, "psnr_db": -10 * np.log10(max(mean, 1e-12))}
+    return {"white": white, "psnr_db": float(-10 * np.log10(max(mean, 1e-12)))}
 
 
 def _coefficients(values: np.ndarray, matrix: np.ndarray) -> np.ndarray:
