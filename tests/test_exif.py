@@ -10,7 +10,7 @@ from test_photos import HEIGHT, WIDTH, save, smooth
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.official import read_official
-from unips_jax.io.photographs import read_photographs
+from unips_jax.io.photographs import read_capture, read_photographs
 from unips_jax.io.selection import select
 
 
@@ -38,9 +38,29 @@ def test_exif_orientation_is_applied_as_viewers_do(tmp_path):
     np.testing.assert_array_equal(read.mask, mask > 0)
 
 
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_a_camera_that_looks_down_does_not_know_what_is_up(tmp_path, orientation):
+    """Its files are stored alike, or turned before: what fits is taken."""
+    picture = smooth(np.uint8, height=60, width=60)
+    for name, tag, stored in (
+        ("a.jpg", 1, picture),
+        ("b.jpg", orientation, picture),
+        ("c.jpg", orientation, np.rot90(picture, {3: 2, 6: 1}[orientation])),
+    ):
+        path = save(tmp_path / name, np.ascontiguousarray(stored))
+        path.write_bytes(with_orientation(path.read_bytes(), tag))
+    capture = read_capture(select(tmp_path))
+    for image in capture.images:
+        assert np.abs(image.astype(int) - picture).max() <= 4
+    assert capture.notes == (
+        "other EXIF orientation than a.jpg: b.jpg, c.jpg; turned so that their edges "
+        "fit",
+    )
+
+
 def test_differing_orientations_are_refused(tmp_path):
     for name, orientation in (("a.jpg", 1), ("b.jpg", 3)):
-        path = save(tmp_path / name, smooth(np.uint8))
+        path = save(tmp_path / name, smooth(np.uint8, ord(name[0])))
         path.write_bytes(with_orientation(path.read_bytes(), orientation))
     for read in (read_photographs, read_official):
         with pytest.raises(InputError, match=r"b\.jpg: expected EXIF.* 1 .*got 3"):

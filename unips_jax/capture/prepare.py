@@ -1,12 +1,16 @@
 """What is done to photographs that were read, before anything looks at them."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from unips_jax.capture.masks import suggest_mask
 from unips_jax.capture.motion import Motion, find_motion
 from unips_jax.capture.registration import register
+from unips_jax.errors import InputError
+from unips_jax.io.color import as_linear, srgb_encode
+from unips_jax.io.images import ImageFile
 from unips_jax.io.photographs import Capture
 
 
@@ -27,6 +31,47 @@ def with_suggested_mask(capture: Capture) -> Capture:
         return dataclasses.replace(capture, mask_contrast=0.0)
     # What was left out of the whole image lies around the object: no news.
     return dataclasses.replace(capture, mask=mask, mask_contrast=figure, notes=())
+
+
+def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> Capture:
+    """The same photographs without the light that a dark frame has.
+
+    Args:
+        capture: the photographs.
+        dark: taken without the lamp, as the others in all else.
+        names: of the photographs.
+
+    Returns:
+        Integers become uint16, so that dark parts keep their levels.
+
+    Raises:
+        InputError: if the dark frame is of another kind, or brighter than a photograph.
+    """
+    images = capture.images
+    pixels = dark.pixels
+    if pixels.shape[:2] != images.shape[1:3] or pixels.dtype != images.dtype:
+        raise InputError(
+            f"{dark.path}: expected a dark frame as the photographs, "
+            f"{list(images.shape[1:3])} of {images.dtype}, got "
+            f"{list(pixels.shape[:2])} of {pixels.dtype}; take it as the others"
+        )
+    if dark.encoding.table is not None:
+        pixels = dark.encoding.table[pixels]
+    ambient = as_linear(pixels, capture.transfer)
+    wide = np.float32 if images.dtype == np.float32 else np.uint16
+    result = np.empty(images.shape, wide)
+    for index, image in enumerate(images):
+        light = np.maximum(as_linear(image, capture.transfer) - ambient, 0)
+        if not light[capture.mask].any():
+            raise InputError(
+                f"{dark.path}: expected less light than in {names[index]}, got more "
+                "everywhere; give the frame that was taken without the lamp"
+            )
+        if wide is np.uint16:
+            light = srgb_encode(light) if capture.transfer == "srgb" else light
+            light = np.rint(np.clip(light, 0, 1) * 65535)
+        result[index] = light
+    return dataclasses.replace(capture, images=result)
 
 
 def in_place(capture: Capture) -> tuple[Capture, Motion]:

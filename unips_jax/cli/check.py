@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import tyro
 
 from unips_jax.capture.folder import Report, check_photographs
+from unips_jax.capture.unpack import is_container, unpacked
 from unips_jax.console import command, parse
 from unips_jax.errors import InputError
 from unips_jax.io.images import MAX_PIXELS
@@ -70,6 +71,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def _check(folder: Path, options: Options) -> Report:
+    if is_container(folder):
+        with unpacked(folder, max_pixels=options.max_pixels) as place:
+            return _check(place, options)
     selection = select(
         folder,
         mask_file=options.mask if isinstance(options.mask, Path) else None,

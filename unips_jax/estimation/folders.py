@@ -15,7 +15,13 @@ import numpy as np
 
 from unips_jax.capture.check import check_capture
 from unips_jax.capture.masks import TRUSTED
-from unips_jax.capture.prepare import in_place, still, with_suggested_mask
+from unips_jax.capture.prepare import (
+    in_place,
+    still,
+    with_suggested_mask,
+    without_ambient,
+)
+from unips_jax.capture.unpack import KEYFRAMES, is_container, unpacked
 from unips_jax.console import progress, track
 from unips_jax.errors import InputError
 from unips_jax.estimation.beyond import Beyond, look_beyond, write_beyond
@@ -147,7 +153,8 @@ def estimate_folder(
     """Estimates the normals of a folder of photographs, and writes them.
 
     Args:
-        folder: of photographs.
+        folder: of photographs; or a file that holds them, a video or a TIFF of several
+            pages.
         target: folder for the results: `normals.png` (16 bit), `normals.npy`,
             `sheet.png` (a picture to judge the result by) and `normals.json` (how it
             came about). All of these appear, or none.
@@ -167,6 +174,31 @@ def estimate_folder(
     options = (options or FolderOptions()).spelled_out()
     options.check()
     check_target(target, folder)
+    if is_container(folder):
+        frames = options.max_images or KEYFRAMES
+        with unpacked(folder, frames=frames, max_pixels=options.max_pixels) as place:
+            return _estimate(
+                place,
+                target,
+                network,
+                options,
+                overwrite,
+                verbose,
+                {"folder": str(folder)},
+            )
+    return _estimate(folder, target, network, options, overwrite, verbose)
+
+
+def _estimate(
+    folder: Path,
+    target: Path,
+    network: Network,
+    options: FolderOptions,
+    overwrite: bool,
+    verbose: bool,
+    facts: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Does what `estimate_folder` does, to a folder."""
     clear_leftovers(target.parent)
     earlier = None if overwrite else read_record(target)
     selection = _select(folder, options)
@@ -179,7 +211,7 @@ def estimate_folder(
                 print(f"{folder}: {target} is up to date; --overwrite makes it anew")
             return earlier
     estimate = estimate_selection(selection, network, options, verbose=verbose)
-    return write_estimate(target, estimate, options, verbose=verbose)
+    return write_estimate(target, estimate, options, facts=facts, verbose=verbose)
 
 
 def estimate_selection(
@@ -207,6 +239,9 @@ def estimate_selection(
     reader = HashingReader(options.max_pixels)
     capture = _read(selection, options, reader, verbose=verbose)
     motion = None
+    if options.dark is not None:
+        dark = reader(_dark_file(selection.folder, options))
+        capture = without_ambient(capture, dark, selection.names)
     if options.register:
         capture, motion = in_place(capture)
         moves = dict(
@@ -379,6 +414,13 @@ def _select(folder: Path, options: FolderOptions) -> Selection:
         max_images=options.max_images,
         seed=options.seed,
     )
+    if options.dark is not None:
+        dark = _dark_file(folder, options)
+        kept = tuple(f for f in selection.files if not f.samefile(dark))
+        if not kept:
+            raise InputError(f"{folder}: expected photographs besides {dark}, got none")
+        left_out = {**selection.left_out, "by --dark": [dark.name]}
+        selection = dataclasses.replace(selection, files=kept, left_out=left_out)
     if options.mask == "none" and selection.mask_file is not None:
         left_out = {**selection.left_out, "by --mask none": [selection.mask_file.name]}
         return dataclasses.replace(selection, mask_file=None, left_out=left_out)
@@ -406,6 +448,18 @@ def _read(
     )
 
 
+def _dark_file(folder: Path, options: FolderOptions) -> Path:
+    assert options.dark is not None
+    # A bare name is that of a photograph.
+    for path in (folder / options.dark, options.dark):
+        if path.is_file():
+            return path
+    raise InputError(
+        f"--dark {options.dark}: expected a photograph without the lamp, in {folder} "
+        "or at that place, got no such file"
+    )
+
+
 def _looks_for_mask(selection: Selection, options: FolderOptions) -> bool:
     wanted = options.mask == "auto" and options.reader == "plain"
     return wanted and selection.mask_file is None
@@ -420,6 +474,8 @@ def _input_record(
     # Where the mask lies is no matter: its contents are told apart by their hash.
     chosen = dataclasses.asdict(options)
     chosen["mask"] = "none" if options.mask == "none" else "auto"
+    dark = None if options.dark is None else _dark_file(selection.folder, options)
+    chosen["dark"] = None if dark is None else reader.hash(dark)
     chosen |= {name: list(chosen[name]) for name in ("include", "exclude")}  # as JSON
     normals = selection.folder / "normal.tif"
     if options.reader == "official" and not selection.mask_file and normals.is_file():

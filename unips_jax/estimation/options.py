@@ -30,6 +30,8 @@ class FolderOptions:
         seed: of that draw.
         transfer: how the photographs encode light (auto: by their colour tags; without
             any, 8 bit is srgb and the rest linear).
+        dark: a photograph without the lamp, in the folder or elsewhere, whose light is
+            subtracted from the others.
         register: bring photographs that moved back to the others' place.
         reader: official: the authors' square crop and resize, and all files linear;
             the results have that size.
@@ -59,6 +61,7 @@ class FolderOptions:
     max_images: int | None = None
     seed: int = 0
     transfer: Literal["auto", "linear", "srgb"] = "auto"
+    dark: Path | None = None
     register: bool = False
     reader: Literal["plain", "official"] = "plain"
     size: int | None = None
@@ -115,11 +118,12 @@ class FolderOptions:
                 f"--size {self.size}: results have the photographs' size; leave it "
                 "out, or add --reader official"
             )
-        if self.reader == "official" and self.register:
-            raise InputError(
-                "--register: the authors' reader resizes the photographs; leave out "
-                "--reader official"
-            )
+        for option in ("register", "dark"):
+            if self.reader == "official" and getattr(self, option):
+                raise InputError(
+                    f"--{option}: the authors' reader takes photographs as they are; "
+                    "leave out --reader official"
+                )
         self._check_surface()
 
     def _check_surface(self) -> None:

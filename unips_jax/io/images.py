@@ -149,8 +149,8 @@ def decode_image(
     diagonal = math.hypot(header.height, header.width)
     return ImageFile(
         path,
-        _turned(pixels, header.orientation),
-        None if alpha is None else _turned(alpha, header.orientation),
+        turned(pixels, header.orientation),
+        None if alpha is None else turned(alpha, header.orientation),
         header.orientation,
         header.focal_35mm / _DIAGONAL_MM * diagonal or None,
         dataclasses.replace(header, decode=_nothing),
@@ -311,8 +311,8 @@ def _too_large(path: Path, size: str, max_pixels: int) -> InputError:
     )
 
 
-def _turned(image: np.ndarray, orientation: int) -> np.ndarray:
-    """The image as viewers show it."""
+def turned(image: np.ndarray, orientation: int) -> np.ndarray:
+    """An image that lies as stored, as viewers show it; orientation: 1 to 8."""
     image = image.swapaxes(0, 1) if orientation >= 5 else image
     image = image[:, ::-1] if orientation in (2, 3, 6, 7) else image
     return image[::-1] if orientation in (3, 4, 7, 8) else image

@@ -11,6 +11,10 @@ RAW_SUFFIXES = frozenset(
     " .3fr .fff .iiq .mrw .kdc .dcr .erf .mef .mos .raw".split()
 )
 
+VIDEO_SUFFIXES = frozenset(
+    ".mp4 .mov .m4v .avi .mkv .webm .mts .m2ts .mpg .mpeg .wmv .3gp".split()
+)
+
 _BETTER = (  # of a photograph in two formats; a camera's raw file is the best
     (".jpg", ".jpeg", ".jfif", ".mpo"),
     (".heic", ".heif", ".avif", ".webp"),

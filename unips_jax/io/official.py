@@ -16,7 +16,8 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
 from unips_jax.io.images import ImageFile, read_image_file, require_finite
 from unips_jax.io.masks import mask_box
-from unips_jax.io.photographs import mask_for, require_orientation
+from unips_jax.io.orientation import require_orientation
+from unips_jax.io.photographs import mask_for
 from unips_jax.io.selection import Selection
 
 _MARGIN = 4

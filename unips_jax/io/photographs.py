@@ -27,6 +27,7 @@ from unips_jax.io.images import (
     require_finite,
 )
 from unips_jax.io.masks import above_half, lit_pixels, mask_of
+from unips_jax.io.orientation import oriented_as
 from unips_jax.io.selection import Selection, select
 
 _FILES = 10  # a set may have so many times the pixels that a file may have
@@ -137,9 +138,14 @@ def read_capture(
             stack = _Stack(file, len(selection.files), inside, transfer)
         stack.add(file)
     assert stack is not None  # a selection has a file
-    notes: list[str] = []
+    notes = []
+    if stack.turned:
+        notes.append(
+            f"other EXIF orientation than {stack.first.path.name}: "
+            f"{', '.join(stack.turned)}; turned so that their edges fit"
+        )
     if mask is None:
-        notes = stack.leave_out(whole=selection.mask_file is None)
+        notes += stack.leave_out(whole=selection.mask_file is None)
     encoding = stack.encoding
     return Capture(
         stack.images,
@@ -172,13 +178,16 @@ class _Stack:
         self.encoding = (
             first.encoding if transfer is None else Encoding(transfer, "--transfer")
         )
+        self.turned: list[str] = []
         self.cameras: list[str] = []
         self.exposures: list[float] = []
         self._size = 0
 
     def add(self, file: ImageFile) -> None:
         """Takes one photograph, or says why it does not fit."""
-        require_orientation(file, self.first)
+        if file.orientation != self.first.orientation:
+            file = oriented_as(file, self.first, self.images[0])
+            self.turned.append(file.path.name)
         _require_alike(file, self.first, self.images)
         if not self.told and not file.encoding.agrees(self.encoding):
             raise InputError(
@@ -267,22 +276,6 @@ def mask_for(
             f"{selection.names[0]}, got {_size(mask.shape)}; {hint}"
         )
     return mask
-
-
-def require_orientation(file: ImageFile, first: ImageFile) -> None:
-    """Raises InputError if two photographs' EXIF orientations differ.
-
-    Args:
-        file: one.
-        first: the other, which has the say.
-    """
-    if file.orientation != first.orientation:
-        raise InputError(
-            f"{file.path}: expected EXIF orientation {first.orientation} as in "
-            f"{first.path.name}, got {file.orientation}; if the camera stood still, "
-            "remove the tag from all files (exiftool -Orientation= FILES), else leave "
-            "this one out"
-        )
 
 
 def _require_alike(file: ImageFile, first: ImageFile, images: np.ndarray) -> None:

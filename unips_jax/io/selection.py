@@ -19,7 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.naming import RAW_SUFFIXES, each_once, listed_photographs
+from unips_jax.io.naming import (
+    RAW_SUFFIXES,
+    VIDEO_SUFFIXES,
+    each_once,
+    listed_photographs,
+)
 
 SUFFIXES = RAW_SUFFIXES | frozenset(
     ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split()
@@ -141,9 +146,12 @@ def select(
 def folder_name(folder: Path) -> str:
     """A folder's name as given (links are not followed), without ".data".
 
+    Of a file, a video or a TIFF of several pages, the name without its suffix.
     Bytes that are not Unicode are replaced by question marks.
     """
     name = os.fsencode(os.path.abspath(folder)).decode(errors="replace")  # noqa: PTH100
+    if folder.is_file():
+        return Path(name).stem
     return Path(name).name.removesuffix(".data")
 
 
@@ -188,6 +196,8 @@ def _images(
             reason = f"{suffix} is not read: export PNG or TIFF"
         elif suffix == ".lp":
             continue
+        elif suffix in VIDEO_SUFFIXES:
+            reason = "a video: give the file itself in place of the folder"
         elif suffix not in SUFFIXES:
             reason = "not an image"
         elif entry.exists() and not entry.is_file():

@@ -102,7 +102,7 @@ def _open_boxed(data: bytes) -> Encoded:
     if re.search(rb"hei[cxms]|hev[cx]|mif1|msf1", kinds):
         return camera.open_heic(data)
     if re.search(rb"isom|iso\d|mp4\d|qt  |M4V |3gp", kinds):
-        raise NotRead("a video", "give the file itself to `unips estimate`")
+        raise NotRead("a video", "give the file itself in place of its folder")
     raise Damaged("")
 
 

@@ -115,7 +115,8 @@ def raw_kind(data: bytes) -> str:
     if _DNG_VERSION in tags:
         return "a camera's raw file (DNG)"
     small = isinstance(page, tifffile.TiffPage) and int(page.subfiletype) & _REDUCED
-    if page.photometric in _CAMERA or (small and _SUB_FILES in tags and _MAKER in tags):
+    sensor = page.photometric in _CAMERA or (small and _SUB_FILES in tags)
+    if sensor and _MAKER in tags:
         return "a camera's raw file (a TIFF of sensor values)"
     return ""
 
@@ -145,7 +146,9 @@ def _photograph(tiff: tifffile.TiffFile) -> tifffile.TiffPage:
     if tiff.is_imagej and tiff.imagej_metadata:
         count = max(count, int(tiff.imagej_metadata.get("images", 1)))
     if count > 1:
-        raise NotRead(f"a TIFF of {count} pages", "save each page as a file of its own")
+        raise NotRead(
+            f"a TIFF of {count} pages", "give the file itself in place of its folder"
+        )
     return pages[0]
 
 

@@ -1,0 +1,91 @@
+"""Photographs of one camera that says different things of what is up.
+
+A camera that looks down from a tripod does not know: files that were stored alike are
+shown turned. What fits is told by the edges.
+"""
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from unips_jax.errors import InputError
+from unips_jax.io.images import ImageFile, turned
+
+_SIDE = 128  # pixels of the longer side, where edges are compared
+_ALIKE, _CLEARLY = 0.3, 0.15  # correlations
+
+
+def oriented_as(file: ImageFile, first: ImageFile, image: np.ndarray) -> ImageFile:
+    """A photograph turned as the first: as stored, or as shown, whichever fits.
+
+    Args:
+        file: a photograph of another EXIF orientation.
+        first: the first, which has the say.
+        image: `[H, W, 3]`, its pixels as shown.
+
+    Raises:
+        InputError: if neither fits clearly.
+    """
+    stored = as_oriented(file, first.orientation)
+    as_stored, as_shown = (_likeness(f.pixels, image) for f in (stored, file))
+    if max(as_stored, as_shown) < _ALIKE or abs(as_stored - as_shown) < _CLEARLY:
+        require_orientation(file, first)
+    if as_stored > as_shown:
+        return stored
+    return dataclasses.replace(file, orientation=first.orientation)
+
+
+def require_orientation(file: ImageFile, first: ImageFile) -> None:
+    """Raises InputError if two photographs' EXIF orientations differ.
+
+    Args:
+        file: one.
+        first: the other, which has the say.
+    """
+    if file.orientation != first.orientation:
+        raise InputError(
+            f"{file.path}: expected EXIF orientation {first.orientation} as in "
+            f"{first.path.name}, got {file.orientation}; if the camera stood still, "
+            "remove the tag from all files (exiftool -Orientation= FILES), else leave "
+            "this one out"
+        )
+
+
+def as_oriented(file: ImageFile, orientation: int) -> ImageFile:
+    """The same file, turned as if its EXIF orientation were another.
+
+    Args:
+        file: as it is shown.
+        orientation: 1 (as stored) to 8.
+    """
+
+    def again(image: np.ndarray) -> np.ndarray:
+        return turned(_turned_back(image, file.orientation), orientation)
+
+    alpha = None if file.alpha is None else again(file.alpha)
+    return dataclasses.replace(
+        file, pixels=again(file.pixels), alpha=alpha, orientation=orientation
+    )
+
+
+def _turned_back(image: np.ndarray, orientation: int) -> np.ndarray:
+    image = image[::-1] if orientation in (3, 4, 7, 8) else image
+    image = image[:, ::-1] if orientation in (2, 3, 6, 7) else image
+    return image.swapaxes(0, 1) if orientation >= 5 else image
+
+
+def _likeness(image: np.ndarray, other: np.ndarray) -> float:
+    """Correlation of the edges of two images; -1 if their sizes differ."""
+    if image.shape[:2] != other.shape[:2]:
+        return -1.0
+    scale = min(1.0, _SIDE / max(image.shape[:2]))
+    edges = []
+    for pixels in (image, other):
+        grey = np.ascontiguousarray(pixels.astype(np.float32).mean(axis=-1))
+        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        small = cv2.GaussianBlur(small, (0, 0), 1)
+        log = np.log(small + max(0.05 * float(small.max()), 1e-12))
+        edges.append(np.hypot(*np.gradient(log)).ravel())
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return float(np.nan_to_num(np.corrcoef(*edges)[0, 1]))
