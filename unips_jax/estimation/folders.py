@@ -13,24 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax.capture.check import check_capture
-from unips_jax.capture.masks import TRUSTED
-from unips_jax.capture.prepare import (
-    in_place,
-    still,
-    with_suggested_mask,
-    without_ambient,
-)
 from unips_jax.capture.unpack import KEYFRAMES, is_container, unpacked
-from unips_jax.console import progress, track
+from unips_jax.console import progress
 from unips_jax.errors import InputError
 from unips_jax.estimation.beyond import Beyond, look_beyond, write_beyond
 from unips_jax.estimation.options import FolderOptions
+from unips_jax.estimation.reading import chosen_photographs, dark_file, read_and_look
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import write_image
 from unips_jax.io.normals import write_normals
-from unips_jax.io.official import read_official
-from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.record import (
     HashingReader,
     complete_record,
@@ -48,7 +39,7 @@ from unips_jax.io.results import (
     read_record,
     write_record,
 )
-from unips_jax.io.selection import Selection, select
+from unips_jax.io.selection import Selection
 from unips_jax.models.config import ModelConfig
 from unips_jax.pictures.estimate_sheet import write_sheet
 from unips_jax.provenance import code_hash
@@ -63,8 +54,7 @@ from unips_jax.surface.outputs import (
 _CODE = (
     "estimation.streaming",
     "estimation.beyond",
-    "capture.check",
-    "capture.prepare",
+    "estimation.reading",
     "io.photographs",
     "io.official",
     "io.normals",
@@ -201,7 +191,7 @@ def _estimate(
     """Does what `estimate_folder` does, to a folder."""
     clear_leftovers(target.parent)
     earlier = None if overwrite else read_record(target)
-    selection = _select(folder, options)
+    selection = chosen_photographs(folder, options)
     if earlier is not None:
         made_from = _input_record(
             selection, network, options, HashingReader(options.max_pixels)
@@ -237,32 +227,15 @@ def estimate_selection(
     if verbose:
         print_selection(selection)
     reader = HashingReader(options.max_pixels)
-    capture = _read(selection, options, reader, verbose=verbose)
-    motion = None
-    if options.dark is not None:
-        dark = reader(_dark_file(selection.folder, options))
-        capture = without_ambient(capture, dark, selection.names)
-    if options.register:
-        capture, motion = in_place(capture)
-        moves = dict(
-            zip(selection.names, motion.offsets.round(2).tolist(), strict=True)
-        )
-        motion = still(motion)
-    if _looks_for_mask(selection, options):
-        capture = with_suggested_mask(capture)
+    looked = read_and_look(selection, options, reader, verbose=verbose)
+    capture, warnings = looked.capture, looked.warnings
     images, mask, transfer = capture.images, capture.mask, capture.transfer
-    findings = check_capture(capture, selection.names, motion=motion)
-    warnings = [*capture.notes, *(finding.text for finding in findings)]
     made_from = _input_record(selection, network, options, reader)
     focal = focal_of(options.focal, capture.focal, selection.files[0])
     record = complete_record(
         made_from, images, mask, transfer, capture.transfer_rule, warnings
     )
-    record["findings"] = [finding.record() for finding in findings]
-    if options.register:
-        record["moved_back"] = {name: move for name, move in moves.items() if any(move)}
-    record["mask_contrast"] = capture.mask_contrast
-    record["mask_suggested"] = (capture.mask_contrast or 0) >= TRUSTED
+    record |= looked.facts
     if verbose:
         print_record(record)
         for warning in warnings:
@@ -405,66 +378,6 @@ def _network(config: ModelConfig, params: Any, name: str, *, trained: bool) -> N
     return Network(config, params, {"name": name, "hash": digest, "trained": trained})
 
 
-def _select(folder: Path, options: FolderOptions) -> Selection:
-    selection = select(
-        folder,
-        mask_file=options.mask if isinstance(options.mask, Path) else None,
-        include=options.include,
-        exclude=options.exclude,
-        max_images=options.max_images,
-        seed=options.seed,
-    )
-    if options.dark is not None:
-        dark = _dark_file(folder, options)
-        kept = tuple(f for f in selection.files if not f.samefile(dark))
-        if not kept:
-            raise InputError(f"{folder}: expected photographs besides {dark}, got none")
-        left_out = {**selection.left_out, "by --dark": [dark.name]}
-        selection = dataclasses.replace(selection, files=kept, left_out=left_out)
-    if options.mask == "none" and selection.mask_file is not None:
-        left_out = {**selection.left_out, "by --mask none": [selection.mask_file.name]}
-        return dataclasses.replace(selection, mask_file=None, left_out=left_out)
-    return selection
-
-
-def _read(
-    selection: Selection,
-    options: FolderOptions,
-    reader: HashingReader,
-    *,
-    verbose: bool,
-) -> Capture:
-    if options.reader == "official":
-        size = options.size or 512
-        images, mask, _ = read_official(selection, size=size, read=reader)
-        return Capture(images, mask, "linear", "the authors' reader")
-    tracked: Any = functools.partial(track, description="reading photographs")
-    return read_capture(
-        selection,
-        transfer=None if options.transfer == "auto" else options.transfer,
-        max_pixels=options.max_pixels,
-        read=reader,
-        track=tracked if verbose else iter,
-    )
-
-
-def _dark_file(folder: Path, options: FolderOptions) -> Path:
-    assert options.dark is not None
-    # A bare name is that of a photograph.
-    for path in (folder / options.dark, options.dark):
-        if path.is_file():
-            return path
-    raise InputError(
-        f"--dark {options.dark}: expected a photograph without the lamp, in {folder} "
-        "or at that place, got no such file"
-    )
-
-
-def _looks_for_mask(selection: Selection, options: FolderOptions) -> bool:
-    wanted = options.mask == "auto" and options.reader == "plain"
-    return wanted and selection.mask_file is None
-
-
 def _input_record(
     selection: Selection,
     network: Network,
@@ -474,8 +387,8 @@ def _input_record(
     # Where the mask lies is no matter: its contents are told apart by their hash.
     chosen = dataclasses.asdict(options)
     chosen["mask"] = "none" if options.mask == "none" else "auto"
-    dark = None if options.dark is None else _dark_file(selection.folder, options)
-    chosen["dark"] = None if dark is None else reader.hash(dark)
+    if options.dark is not None:
+        chosen["dark"] = reader.hash(dark_file(selection.folder, options.dark))
     chosen |= {name: list(chosen[name]) for name in ("include", "exclude")}  # as JSON
     normals = selection.folder / "normal.tif"
     if options.reader == "official" and not selection.mask_file and normals.is_file():

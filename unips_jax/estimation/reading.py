@@ -1,0 +1,150 @@
+"""What `estimate_folder` is told, done: which photographs, read, mended, looked at."""
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any
+
+from unips_jax.capture.check import check_capture
+from unips_jax.capture.masks import TRUSTED
+from unips_jax.capture.prepare import (
+    in_place,
+    still,
+    with_suggested_mask,
+    without_ambient,
+)
+from unips_jax.console import track
+from unips_jax.errors import InputError
+from unips_jax.estimation.options import FolderOptions
+from unips_jax.io.official import read_official
+from unips_jax.io.photographs import Capture, read_capture
+from unips_jax.io.record import HashingReader
+from unips_jax.io.selection import Selection, select
+
+
+@dataclasses.dataclass(frozen=True)
+class Looked:
+    """Photographs that were read and looked at.
+
+    Attributes:
+        capture: the photographs.
+        warnings: what is wrong with them, one line each.
+        facts: for the record.
+    """
+
+    capture: Capture
+    warnings: list[str]
+    facts: dict[str, Any]
+
+
+def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
+    """Which files of a folder the options make photographs, and which the mask.
+
+    Args:
+        folder: of photographs.
+        options: what was told.
+
+    Raises:
+        InputError: see `select`; or if there is no such dark frame.
+    """
+    selection = select(
+        folder,
+        mask_file=options.mask if isinstance(options.mask, Path) else None,
+        include=options.include,
+        exclude=options.exclude,
+        max_images=options.max_images,
+        seed=options.seed,
+    )
+    left_out = dict(selection.left_out)
+    if options.dark is not None:
+        dark = dark_file(folder, options.dark)
+        kept = tuple(f for f in selection.files if f.resolve() != dark.resolve())
+        if not kept:
+            raise InputError(f"{folder}: expected photographs besides {dark}, got none")
+        left_out["by --dark"] = [dark.name]
+        selection = dataclasses.replace(selection, files=kept, left_out=left_out)
+    if options.mask == "none" and selection.mask_file is not None:
+        left_out["by --mask none"] = [selection.mask_file.name]
+        selection = dataclasses.replace(selection, mask_file=None, left_out=left_out)
+    return selection
+
+
+def dark_file(folder: Path, dark: Path) -> Path:
+    """The dark frame: in the folder, or where it is said to be.
+
+    Args:
+        folder: of photographs.
+        dark: as given.
+
+    Raises:
+        InputError: if it is at neither place.
+    """
+    for path in (folder / dark, dark):
+        if path.is_file():
+            return path
+    raise InputError(
+        f"--dark {dark}: expected a photograph without the lamp, in {folder} or "
+        "at that place, got no such file"
+    )
+
+
+def read_and_look(
+    selection: Selection,
+    options: FolderOptions,
+    reader: HashingReader,
+    *,
+    verbose: bool,
+) -> Looked:
+    """Reads photographs, does to them what was told, and says what is wrong with them.
+
+    Args:
+        selection: from `chosen_photographs`.
+        options: what was told.
+        reader: reads the files.
+        verbose: show progress.
+
+    Raises:
+        InputError: if a file cannot be read or used.
+    """
+    capture = _read(selection, options, reader, verbose=verbose)
+    facts: dict[str, Any] = {}
+    motion = None
+    if options.dark is not None:
+        dark = reader(dark_file(selection.folder, options.dark))
+        capture = without_ambient(capture, dark, selection.names)
+    if options.register:
+        capture, motion = in_place(capture)
+        offsets = motion.offsets.round(2).tolist()
+        moves = zip(selection.names, offsets, strict=True)
+        facts["moved_back"] = {name: move for name, move in moves if any(move)}
+        motion = still(motion)
+    looked_for = options.mask == "auto" and options.reader == "plain"
+    if looked_for and selection.mask_file is None:
+        capture = with_suggested_mask(capture)
+    findings = check_capture(capture, selection.names, motion=motion)
+    facts["findings"] = [finding.record() for finding in findings]
+    facts["mask_contrast"] = capture.mask_contrast
+    facts["mask_suggested"] = (capture.mask_contrast or 0) >= TRUSTED
+    texts = [finding.text for finding in findings]
+    return Looked(capture, [*capture.notes, *texts], facts)
+
+
+def _read(
+    selection: Selection,
+    options: FolderOptions,
+    reader: HashingReader,
+    *,
+    verbose: bool,
+) -> Capture:
+    if options.reader == "official":
+        size = options.size or 512
+        images, mask, _ = read_official(selection, size=size, read=reader)
+        return Capture(images, mask, "linear", "the authors' reader")
+    tracked: Any = functools.partial(track, description="reading photographs")
+    return read_capture(
+        selection,
+        transfer=None if options.transfer == "auto" else options.transfer,
+        max_pixels=options.max_pixels,
+        read=reader,
+        track=tracked if verbose else iter,
+    )
