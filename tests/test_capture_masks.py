@@ -11,6 +11,7 @@ from test_estimate import calls, network_calls, run  # noqa: F401
 from unips_jax.capture.grabcut import grabcut_mask, strokes
 from unips_jax.capture.masks import TRUSTED, mask_picture, suggest_mask
 from unips_jax.errors import InputError
+from unips_jax.io.color import as_linear, srgb_encode
 from unips_jax.io.images import read_image
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
@@ -36,6 +37,19 @@ def test_no_guess_where_the_background_is_not_plain(name):
     images, _ = photographs(3, **HARD[name])
     mask, figure = suggest_mask(images)
     assert mask is None and 0 <= figure < TRUSTED
+
+
+@pytest.mark.parametrize("table", [0.08, 0.2, 0.5])
+@pytest.mark.parametrize("wall", [0.0, 0.1, 0.6])
+@pytest.mark.parametrize("albedo", [0.08, 0.6])
+def test_a_table_before_a_wall_misleads_nobody(albedo, wall, table):
+    images, truth = photographs(5, albedo=(albedo,) * 3, count=4)
+    height = len(truth)
+    behind = np.where(np.arange(height) < 0.7 * height, wall, table)[:, None, None]
+    cover = cv2.GaussianBlur(truth.astype(np.float32), (0, 0), 0.7)[..., None]
+    lit = as_linear(images, "srgb") * cover + 0.7 * behind * (1 - cover)
+    mask, _ = suggest_mask(np.rint(srgb_encode(lit) * 255).astype(np.uint8))
+    assert mask is None or overlap(mask, truth) >= 0.93
 
 
 def test_nothing_to_see():

@@ -66,6 +66,7 @@ def contents(draw):
 
 NAMES = st.sampled_from(
     ["L_0.png", "L_1.jpg", "02.tif", "a.exr", "b.webp", "c.pgm", "d.hdr", "x.gif"]
+    + ["e.dng", "f.avif", "g.tga", "h.lp", "i.mp4"]
     + [
         "mask.png",
         "mask.jpg",
@@ -82,6 +83,7 @@ FILES = st.dictionaries(NAMES, st.tuples(KINDS, contents()), max_size=6)
 PATHS = st.sampled_from(
     ["in/object.data", "in", "in/none", "in/object.data/L_0.png", ".", "out", "loop"]
     + ["in/object.data/mask.png", "in/object.data/w.safetensors", "tiny", "n" * 300]
+    + ["in/object.data/02.tif", "in/object.data/i.mp4"]
     + ["in/object.data/config.py", "", "/dev/null", "/proc/x", "f.png"]
 )
 WORDS = st.one_of(
@@ -91,7 +93,8 @@ WORDS = st.one_of(
 )
 OPTIONS = {
     "estimate": "--mask --max-images --seed --transfer --reader --size --weights "
-    "--normal-map --exr --overwrite",
+    "--normal-map --exr --overwrite --dark --register",
+    "check": "--mask --include --exclude --transfer --max-pixels --json",
     "demo": "--weights",
     "eval": "--benchmark --root --method --objects --num-images --crop-size --seed "
     "--protocol --weights --no-pictures",
@@ -105,6 +108,7 @@ OPTIONS = {
 # What makes a command whole, so that not all cases end at what is missing.
 WHOLE = {
     "estimate": ["in/object.data", "-o", "out"],
+    "check": ["in/object.data"],
     "demo": ["-o", "out"],
     "eval": ["--benchmark", "folder", "--root", "in", "--workdir", "out", "-m", "sh1"],
     "render": ["-o", "out"],
