@@ -87,7 +87,9 @@ def in_place(capture: Capture) -> tuple[Capture, Motion]:
     mask = None if capture.mask.all() else capture.mask
     motion = find_motion(capture.images, mask)
     images, valid, maps = register(capture.images, motion)
-    offsets = maps[:, :, 2].copy()
+    height, width = capture.mask.shape
+    middle = np.array([(width - 1) / 2, (height - 1) / 2, 1])
+    offsets = maps @ middle - middle[:2]  # turned or not
     motion = dataclasses.replace(motion, offsets=offsets)
     inside = capture.mask & valid
     if not offsets.any() or not inside.any():
