@@ -10,6 +10,7 @@ from test_surface_command import hemisphere
 
 from unips_jax import estimate_lights
 from unips_jax.cli.estimate import main as estimate
+from unips_jax.errors import InputError
 from unips_jax.estimation import confidence
 from unips_jax.estimation.lights import guess_lights
 from unips_jax.estimation.options import FolderOptions
@@ -198,7 +199,8 @@ def test_halves_are_halves():
     assert [len(half) for half in halves] == [3, 4, 3, 4]
     for first, second in (halves[:2], halves[2:]):
         assert sorted([*first, *second]) == list(range(7))
-    assert len(confidence._halves(1, 2, 0)) == 2
+    with pytest.raises(InputError, match="expected 2 photographs or more, got 1"):
+        confidence.normal_spread({}, np.ones((1, 4, 4, 3)), MASK, NORMALS, config=None)
 
 
 def test_a_larger_spread_means_a_larger_error():

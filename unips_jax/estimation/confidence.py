@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from unips_jax.errors import InputError
 from unips_jax.estimation.frame import FrameKind
 from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.io.color import Transfer
@@ -49,14 +50,21 @@ def normal_spread(
         config: the network's configuration.
         transfer: how values encode light.
         frame: see `estimate_normals`.
-        splits: how often the photographs are halved. A single photograph is not:
-            it is estimated as it is, and mirrored.
+        splits: how often the photographs are halved.
         seed: of the draw.
         progress: called with the numbers of pixels done and to do.
 
     Returns:
         `[H, W]`, float32, degrees; 0 outside the mask.
+
+    Raises:
+        InputError: if there is one photograph alone.
     """
+    if len(images) < 2:
+        raise InputError(
+            "confidence: expected 2 photographs or more, got 1; leave out --confidence "
+            "and --all"
+        )
     halves = _halves(len(images), splits, seed)
     total = np.zeros(mask.shape, np.float32)
     pixels = int(np.count_nonzero(mask))
@@ -94,8 +102,6 @@ def expected_error(spread: np.ndarray) -> np.ndarray:
 
 def _halves(count: int, splits: int, seed: int) -> list[np.ndarray]:
     """Indices of the photographs of each half."""
-    if count == 1:
-        return [np.array([0])] * 2
     rng = np.random.default_rng(seed)
     halves = []
     for _ in range(splits):
