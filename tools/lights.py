@@ -1,7 +1,8 @@
 """Measures lights, base colour, texture maps and confidence on held-out scenes.
 
-    python tools/lights.py --scenes 24
-    python tools/lights.py --scenes 0 --diligent FOLDER
+    python tools/lights.py --scenes 10 --seeds 100 101 102
+    python tools/lights.py --scenes 16 --seeds 77 --confidence
+    python tools/lights.py --scenes 0 --diligent FOLDER --confidence
 
 Scenes are rendered at 96 x 96 pixels, 8 photographs each, with linear response, and
 estimated with the shipped weights. FOLDER is DiLiGenT's `pmsData`, of whose objects 10
@@ -47,14 +48,14 @@ class Options:
     """What to measure on.
 
     Attributes:
-        scenes: how many.
-        seed: of them.
+        scenes: how many of each seed.
+        seeds: of scenes.
         diligent: DiLiGenT's folder `pmsData`, if there is one.
         confidence: measure it too, which takes longest.
     """
 
-    scenes: int = 24
-    seed: int = 77
+    scenes: int = 10
+    seeds: tuple[int, ...] = (100, 101, 102)
     diligent: Path | None = None
     confidence: bool = False
 
@@ -101,7 +102,12 @@ def main() -> None:
 
 def _cases(options: Options) -> Iterator[Case]:
     render = _renderer()
-    for key in jax.random.split(jax.random.key(options.seed), options.scenes):
+    keys = [
+        key
+        for seed in options.seeds
+        for key in jax.random.split(jax.random.key(seed), options.scenes)
+    ]
+    for key in keys:
         scene, surface = render(key)
         size = scene.mask.shape
         yield Case(
