@@ -16,6 +16,7 @@ COMMANDS = {
     "train": ("train", "train the network"),
     "surface": ("cli.surface", "depth and a mesh from normals"),
     "relight": ("cli.relight", "images of normals and materials under new light"),
+    "app": ("cli.app", "all of it in a browser, on this machine"),
     "view": ("cli.view", "a result as an HTML file to look at"),
     "validate": ("cli.validate", "score weights on held-out scenes"),
     "eval": ("cli.eval", "evaluate UniPS and other methods on benchmarks"),

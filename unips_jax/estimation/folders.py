@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from unips_jax.capture.unpack import KEYFRAMES, is_container, unpacked
-from unips_jax.console import progress
+from unips_jax.console import progress as shown_progress
 from unips_jax.errors import InputError
 from unips_jax.estimation.beyond import Beyond, look_beyond, write_beyond
 from unips_jax.estimation.options import FolderOptions
@@ -49,6 +49,8 @@ from unips_jax.surface.outputs import (
     print_surface,
     write_surface,
 )
+
+Progress = Callable[[int, int], None]
 
 # What the results follow from, beside photographs, weights and options.
 _CODE = (
@@ -139,6 +141,7 @@ def estimate_folder(
     *,
     overwrite: bool = False,
     verbose: bool = False,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Estimates the normals of a folder of photographs, and writes them.
 
@@ -154,6 +157,7 @@ def estimate_folder(
             mask, weights, options and code gave.
         verbose: say on standard output what is done; warnings about the photographs
             and progress go to standard error.
+        progress: called with the numbers of pixels done and to do.
 
     Returns:
         What `normals.json` holds; its "warnings" are about the photographs.
@@ -174,9 +178,10 @@ def estimate_folder(
                 options,
                 overwrite,
                 verbose,
+                progress,
                 {"folder": str(folder)},
             )
-    return _estimate(folder, target, network, options, overwrite, verbose)
+    return _estimate(folder, target, network, options, overwrite, verbose, progress)
 
 
 def _estimate(
@@ -186,6 +191,7 @@ def _estimate(
     options: FolderOptions,
     overwrite: bool,
     verbose: bool,
+    progress: Progress | None,
     facts: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Does what `estimate_folder` does, to a folder."""
@@ -200,7 +206,9 @@ def _estimate(
             if verbose:
                 print(f"{folder}: {target} is up to date; --overwrite makes it anew")
             return earlier
-    estimate = estimate_selection(selection, network, options, verbose=verbose)
+    estimate = estimate_selection(
+        selection, network, options, verbose=verbose, progress=progress
+    )
     return write_estimate(target, estimate, options, facts=facts, verbose=verbose)
 
 
@@ -210,6 +218,7 @@ def estimate_selection(
     options: FolderOptions,
     *,
     verbose: bool = False,
+    progress: Progress | None = None,
 ) -> Estimate:
     """Reads photographs, looks for what is wrong with them, and estimates normals.
 
@@ -218,6 +227,7 @@ def estimate_selection(
         network: from `load_network`.
         options: how to read them.
         verbose: see `estimate_folder`.
+        progress: likewise.
 
     Raises:
         InputError: if a file cannot be read or used, or a normal is not finite.
@@ -250,10 +260,10 @@ def estimate_selection(
         frame="image" if options.reader == "official" else "mask",
     )
     if verbose:
-        with progress("estimating normals") as report:
+        with shown_progress("estimating normals") as report:
             normals = estimate(progress=report)
     else:
-        normals = estimate()
+        normals = estimate(progress=progress)
     bad = np.count_nonzero(~np.isfinite(normals).all(axis=-1))
     if bad:
         raise InputError(
@@ -266,7 +276,7 @@ def estimate_selection(
         *(network.config, network.params, images, mask, normals, transfer, options),
     )
     if verbose and options.confidence:
-        with progress("estimating confidence") as report:
+        with shown_progress("estimating confidence") as report:
             beyond = look(progress=report)
     else:
         beyond = look()

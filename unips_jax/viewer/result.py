@@ -12,6 +12,7 @@ import numpy as np
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.io.images import read_bytes, read_image_file
+from unips_jax.io.normals import load_normals
 from unips_jax.io.results import RECORD, read_record
 from unips_jax.surface.files import read_depth
 
@@ -105,7 +106,12 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
             f"{folder}: expected a folder that `unips estimate` wrote, with its "
             f"{RECORD} and all its files as they were; estimate anew"
         )
-    normals = _normals(folder)
+    normals = load_normals(folder)
+    if not np.isfinite(normals).all() or not normals.any():
+        raise InputError(
+            f"{folder / 'normals.npy'}: expected normals, got values that are not "
+            "finite or none but 0; estimate anew"
+        )
     size = normals.shape[:2]
     surface = record.get("surface") or {}
     depth = None
@@ -128,22 +134,6 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
         ),
         record=record,
     )
-
-
-def _normals(folder: Path) -> np.ndarray:
-    path = folder / "normals.npy"
-    try:
-        normals = np.load(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: expected an array of normals: {error}") from None
-    if normals.ndim != 3 or normals.shape[2] != 3 or normals.dtype.kind != "f":
-        raise InputError(
-            f"{path}: expected normals, [H, W, 3], got {normals.dtype} "
-            f"{normals.shape}; estimate anew"
-        )
-    if not normals.any():
-        raise InputError(f"{path}: expected normals, got none but 0; estimate anew")
-    return normals.astype(np.float32)
 
 
 def _photographs(

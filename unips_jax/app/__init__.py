@@ -1,0 +1,1 @@
+"""The application: photographs in, normals out, in a browser, on this machine."""
