@@ -43,6 +43,7 @@ class Page:
         """Lays out the page."""
         assets = resources.files("unips_jax.app") / "assets"
         ui.add_body_html(f"<script>{(assets / 'mask.js').read_text()}</script>")
+        ui.colors(primary="#1565c0")
         with ui.element("main").classes("w-full"):
             with ui.element("section").classes("step"):
                 ui.html("<h1>Surface normals from photographs</h1>", sanitize=False)
@@ -92,6 +93,7 @@ class Page:
             self._focal_note = ui.label().classes("note")
             self._name = ui.input("Name of the object", value="object").classes("w-48")
             self._start = ui.button("Estimate normals", on_click=self._estimate)
+            self._start.props("no-caps")
         self._estimate_step.set_visibility(False)
 
     def _say(self, text: str) -> None:
@@ -105,12 +107,11 @@ class Page:
             except InputError as error:
                 refused.append(str(error))
         self._upload.reset()
-        if await self._inspect() and refused:
-            self._say("; ".join(refused[:3]))
-        elif refused:
-            self._say(f"{self._status.text} {'; '.join(refused[:3])}")
+        await self._inspect()
+        if refused:
+            self._say(f"{self._status.text}. Left out: {'; '.join(refused[:3])}")
 
-    async def _inspect(self) -> bool:
+    async def _inspect(self) -> None:
         """Reads what is there now, in a process of its own."""
         if self._reading is not None:
             self._reading.stop()
@@ -125,14 +126,13 @@ class Page:
         try:
             self._found = await visitor.alone(child)
         except Stopped:
-            return False
+            pass
         except InputError as error:
             self._say(_without_folders(str(error)))
-            return False
-        await self._show_found()
-        return True
+        else:
+            self._show_found()
 
-    async def _show_found(self) -> None:
+    def _show_found(self) -> None:
         found, address = self._found, self._address()
         count = len(found["names"])
         self._say(f"{count} photographs of {found['width']} x {found['height']} pixels")

@@ -89,7 +89,7 @@ window.unipsMask = (() => {
     veil.width = canvas.width;
     veil.height = canvas.height;
     const v = veil.getContext("2d");
-    v.fillStyle = "rgb(60 0 90 / 75%)";
+    v.fillStyle = "rgb(30 0 45 / 85%)";
     v.fillRect(0, 0, veil.width, veil.height);
     v.globalCompositeOperation = "destination-out";
     v.drawImage(mask, 0, 0);
