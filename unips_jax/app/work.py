@@ -66,8 +66,9 @@ def inspect(
     Raises:
         InputError: if they cannot be used.
     """
-    from unips_jax.capture.masks import mask_picture, suggest_mask
-    from unips_jax.io.advice import capture_warnings
+    from unips_jax.capture.check import check_capture
+    from unips_jax.capture.masks import TRUSTED, mask_picture
+    from unips_jax.capture.prepare import with_suggested_mask
     from unips_jax.io.photographs import read_capture
 
     selection = select(folder)
@@ -76,15 +77,15 @@ def inspect(
         max_pixels=max_pixels,
         track=lambda files: _tracked(list(files), report),
     )
+    mask_from = "file"
+    if selection.mask_file is None:
+        capture = with_suggested_mask(capture)
+        trusted = (capture.mask_contrast or 0) >= TRUSTED
+        mask_from = "suggested" if trusted else "none"
     images, mask = capture.images, capture.mask
     for index, image in enumerate(images):
         picture = _small_picture(image, capture.transfer, _THUMBNAIL)
         write_image(about / f"thumbnail-{index}.jpg", picture)
-    mask_from, figure = "file", None
-    if selection.mask_file is None:
-        guess, figure = suggest_mask(images, transfer=capture.transfer)
-        mask_from = "none" if guess is None else "suggested"
-        mask = mask if guess is None else guess & mask
     picture = _shrunk(mask_picture(images, transfer=capture.transfer), _PICTURE)
     write_image(about / "picture.jpg", picture)
     if mask_from != "none":
@@ -99,8 +100,8 @@ def inspect(
         "transfer_rule": capture.transfer_rule,
         "focal": capture.focal,
         "mask": mask_from,
-        "contrast": figure,
-        "warnings": capture_warnings(images, mask, selection.names),
+        "contrast": capture.mask_contrast,
+        "warnings": [f.text for f in check_capture(capture, selection.names)],
     }
 
 
@@ -171,7 +172,9 @@ def estimate(
         phase = "normals" if done < total else "surface"
         report(phase, done / max(total, 1))
 
-    record = estimate_folder(folder, target, load_network(), options, progress=progress)
+    record = estimate_folder(
+        folder, target, load_network(), options, on_progress=progress
+    )
     return list(record["warnings"])
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from unips_jax.capture.unpack import KEYFRAMES, is_container, unpacked
-from unips_jax.console import progress as shown_progress
+from unips_jax.console import progress
 from unips_jax.errors import InputError
 from unips_jax.estimation.beyond import Beyond, look_beyond, write_beyond
 from unips_jax.estimation.options import FolderOptions
@@ -141,7 +141,7 @@ def estimate_folder(
     *,
     overwrite: bool = False,
     verbose: bool = False,
-    progress: Progress | None = None,
+    on_progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Estimates the normals of a folder of photographs, and writes them.
 
@@ -157,7 +157,7 @@ def estimate_folder(
             mask, weights, options and code gave.
         verbose: say on standard output what is done; warnings about the photographs
             and progress go to standard error.
-        progress: called with the numbers of pixels done and to do.
+        on_progress: called with the numbers of pixels done and to do.
 
     Returns:
         What `normals.json` holds; its "warnings" are about the photographs.
@@ -178,10 +178,10 @@ def estimate_folder(
                 options,
                 overwrite,
                 verbose,
-                progress,
+                on_progress,
                 {"folder": str(folder)},
             )
-    return _estimate(folder, target, network, options, overwrite, verbose, progress)
+    return _estimate(folder, target, network, options, overwrite, verbose, on_progress)
 
 
 def _estimate(
@@ -191,7 +191,7 @@ def _estimate(
     options: FolderOptions,
     overwrite: bool,
     verbose: bool,
-    progress: Progress | None,
+    on_progress: Progress | None,
     facts: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Does what `estimate_folder` does, to a folder."""
@@ -207,7 +207,7 @@ def _estimate(
                 print(f"{folder}: {target} is up to date; --overwrite makes it anew")
             return earlier
     estimate = estimate_selection(
-        selection, network, options, verbose=verbose, progress=progress
+        selection, network, options, verbose=verbose, on_progress=on_progress
     )
     return write_estimate(target, estimate, options, facts=facts, verbose=verbose)
 
@@ -218,7 +218,7 @@ def estimate_selection(
     options: FolderOptions,
     *,
     verbose: bool = False,
-    progress: Progress | None = None,
+    on_progress: Progress | None = None,
 ) -> Estimate:
     """Reads photographs, looks for what is wrong with them, and estimates normals.
 
@@ -227,7 +227,7 @@ def estimate_selection(
         network: from `load_network`.
         options: how to read them.
         verbose: see `estimate_folder`.
-        progress: likewise.
+        on_progress: likewise.
 
     Raises:
         InputError: if a file cannot be read or used, or a normal is not finite.
@@ -260,10 +260,10 @@ def estimate_selection(
         frame="image" if options.reader == "official" else "mask",
     )
     if verbose:
-        with shown_progress("estimating normals") as report:
+        with progress("estimating normals") as report:
             normals = estimate(progress=report)
     else:
-        normals = estimate(progress=progress)
+        normals = estimate(progress=on_progress)
     bad = np.count_nonzero(~np.isfinite(normals).all(axis=-1))
     if bad:
         raise InputError(
@@ -276,7 +276,7 @@ def estimate_selection(
         *(network.config, network.params, images, mask, normals, transfer, options),
     )
     if verbose and options.confidence:
-        with shown_progress("estimating confidence") as report:
+        with progress("estimating confidence") as report:
             beyond = look(progress=report)
     else:
         beyond = look()
@@ -365,7 +365,7 @@ def _write_view(
     """Writes `view.html`; its depth is that of the files, if there is one."""
     from unips_jax.surface.files import read_depth
     from unips_jax.viewer.page import with_depth, write_view
-    from unips_jax.viewer.result import Result, photographs_of
+    from unips_jax.viewer.result import Result, maps_of, photographs_of
 
     surface = record.get("surface") or {}
     names = tuple(record["images"])
@@ -377,6 +377,7 @@ def _write_view(
         unit=surface.get("unit", "pixels"),
         focal=surface.get("focal_px"),
         record=record,
+        **maps_of(place, estimate.mask.shape),
     )
     write_view(place / "view.html", with_depth(result))
 

@@ -89,8 +89,7 @@ def photographs_of(
 def read_result(folder: Path, photographs: Path | None = None) -> Result:
     """Reads a folder that `unips estimate` wrote.
 
-    Photographs are shown if they are still where they were, unchanged; base colour and
-    expected error if there are files `base_color.png` and `confidence.exr` (degrees).
+    Photographs are shown if they are still where they were, unchanged.
 
     Args:
         folder: the results.
@@ -117,7 +116,6 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
     depth = None
     if (folder / "depth.exr").is_file() and surface:
         depth = _of_size(folder / "depth.exr", read_depth(folder / "depth.exr"), size)
-    color, error = folder / "base_color.png", folder / "confidence.exr"
     return Result(
         folder.resolve().name,
         normals,
@@ -126,14 +124,29 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
         unit=surface.get("unit", "pixels"),
         pixel_size=surface.get("scale", 1.0),
         focal=surface.get("focal_px"),
-        base_color=_of_size(color, _linear(color), size) if color.is_file() else None,
-        expected_error=(
-            _of_size(error, read_image_file(error).pixels[..., 0], size)
-            if error.is_file()
-            else None
-        ),
         record=record,
+        **maps_of(folder, size),
     )
+
+
+def maps_of(folder: Path, size: tuple[int, ...]) -> dict[str, Any]:
+    """What a folder of results holds beside normals: fields of `Result`.
+
+    Args:
+        folder: with `base_color.png`, `confidence.exr`, both or neither.
+        size: of the normals: height, width.
+
+    Raises:
+        InputError: if a file cannot be read, or has another size.
+    """
+    maps = {}
+    color, error = folder / "base_color.png", folder / "confidence.exr"
+    if color.is_file():
+        maps["base_color"] = _of_size(color, _linear(color), size)
+    if error.is_file():
+        values = read_image_file(error).pixels[..., 0]
+        maps["expected_error"] = _of_size(error, values, size)
+    return maps
 
 
 def _photographs(
@@ -162,8 +175,8 @@ def _photographs(
                 bright=record["transfer"] == "linear",
             )
         )
-    if record["options"].get("reader") == "official":
-        return ()  # it crops and resizes: the photographs do not lie on the normals
+    if record["options"].get("reader") == "official" or record.get("moved_back"):
+        return ()  # as files they do not lie on the normals
     return tuple(found)
 
 
