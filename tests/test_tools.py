@@ -144,15 +144,22 @@ def test_only_better_weights_are_shipped(better, tmp_path, monkeypatch, capsys):
         return np.float16(params["decoder"]["prediction"]["fc2"]["kernel"])
 
     monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", validate)
-    assert ship([str(new), "--over", str(old), "--images", "8", "2"]) == 0
-    assert f"{{'2': {10 - better}.0, '8': {2.5 - better}" in capsys.readouterr().out
+    output = tmp_path / "out"
+    argv = [str(new), "--over", str(old), "--images", "8", "2", "-o", str(output)]
+    assert ship(argv) == 0
+    printed = capsys.readouterr().out
+    assert f"{{'2': {10 - better}.0, '8': {2.5 - better}" in printed
+    assert old.read_bytes() == untouched
     if not better:
-        assert old.read_bytes() == untouched
+        assert not output.exists()
         return
-    record = weights_record(old)
+    (file,) = output.iterdir()
+    record = weights_record(file)
+    assert file.name == f"old-{record['hash'][:8]}.safetensors"
+    assert f"gh release upload TAG {file}" in printed
     assert record["steps"] == {"all scenes": 42}
     assert record["scores"]["mae_deg"]["8"] == 1.5
-    kernel = load_weights(old)[1]["decoder"]["prediction"]["fc2"]["kernel"]
+    kernel = load_weights(file)[1]["decoder"]["prediction"]["fc2"]["kernel"]
     np.testing.assert_array_equal(kernel, kernel_of(second))
 
 
@@ -170,10 +177,13 @@ def test_the_mean_of_old_and_new_weights_can_be_shipped(tmp_path, monkeypatch, c
         return {"mae": float(np.abs(kernel - mean).max()), "constant": 40}
 
     monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", validate)
-    argv = [str(new), "--over", str(old), "--images", "8", "--average"]
+    argv = [str(new), "--over", str(old), "--images", "8", "--average", "--install"]
+    argv += ["-o", str(tmp_path / "out")]
     assert ship(argv) == 0
     kernel = load_weights(old)[1]["decoder"]["prediction"]["fc2"]["kernel"]
     np.testing.assert_allclose(kernel, mean, atol=1e-3)
+    (file,) = (tmp_path / "out").iterdir()
+    assert file.read_bytes() == old.read_bytes()
 
     other = dataclasses.replace(SMALL, hidden_dim=2 * SMALL.hidden_dim)
     save_weights(new, other, random_weights(other), record={"step": 2})

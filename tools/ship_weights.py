@@ -1,13 +1,17 @@
-"""Makes trained weights the shipped ones, if they are better.
+"""Writes trained weights as a file to release, if they are better than the shipped.
 
     python tools/ship_weights.py runs/tiny/last.safetensors
 
 Scores them, in the half precision they ship in, beside the shipped ones on the same
-held-out scenes, and replaces these if the error with the most images is smaller. With
-`--average` the mean of both takes the place of the trained ones: two ends of runs whose
-learning rate fell to zero lie around a better point. The file's record counts the steps
-of all runs, each begun with `--init-weights tiny`. Then `python tools/results.py
---measure` measures the new weights' figures and writes them down.
+held-out scenes, and writes `dist/tiny-HASH.safetensors` if the error with the most
+images is smaller. With `--average` the mean of both takes the place of the trained
+ones: two ends of runs whose learning rate fell to zero lie around a better point. The
+file's record counts the steps of all runs, each begun with `--init-weights tiny`.
+
+The file is an asset of a release (docs/releasing.md). With `--install` it also becomes
+the one that the wheel carries: once per release, since every file that was ever
+committed stays in every clone. Then `python tools/results.py --measure` measures its
+figures and writes them down.
 """
 
 import argparse
@@ -19,6 +23,7 @@ import jax
 
 from unips_jax.console import command, keep_compiled
 from unips_jax.errors import InputError
+from unips_jax.io.claims import make_folder, write_whole
 from unips_jax.scenes import SceneConfig
 from unips_jax.training.validation import validate
 from unips_jax.weights import (
@@ -50,7 +55,7 @@ def scores_of(weights: str, scenes: int, images: Sequence[int]) -> dict[str, flo
 
 @command
 def main(argv: Sequence[str] | None = None) -> None:
-    """Compares, and replaces."""
+    """Compares, and writes."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -60,6 +65,16 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--images", type=int, nargs="+", default=[1, 2, 4, 8])
     parser.add_argument(
         "--average", action="store_true", help="ship the mean of FILE and the shipped"
+    )
+    parser.add_argument(
+        *("-o", "--output"),
+        type=Path,
+        default=Path("dist"),
+        metavar="OUT",
+        help="folder for the file (dist)",
+    )
+    parser.add_argument(
+        "--install", action="store_true", help="also replace the shipped file"
     )
     arguments = parser.parse_args(argv)
     keep_compiled()
@@ -94,8 +109,18 @@ def main(argv: Sequence[str] | None = None) -> None:
         "docs/history/tiny.md",
         "scores": {"held_out_scenes": arguments.scenes, "mae_deg": after},
     }
-    save_weights(target, model, params, record=record, half=True)
-    print(f"wrote {target}, hash {params_hash(model, params)[:8]}")
+    make_folder(arguments.output, "--output")
+    digest = params_hash(model, params)[:8]
+    file = arguments.output / f"{target.stem}-{digest}.safetensors"
+    save_weights(file, model, params, record=record, half=True)
+    print(
+        f"wrote {file}, hash {digest}: attach it to a release, as\n"
+        f"    gh release upload TAG {file}\n"
+        f"It is used by --weights {file}"
+    )
+    if arguments.install:
+        write_whole(target, file.read_bytes())
+        print(f"wrote {target}: commit it with the release only")
 
 
 if __name__ == "__main__":

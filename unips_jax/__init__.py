@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from unips_jax.surface.integrate import integrate_normals
     from unips_jax.weights import load_weights
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "DistantLights",

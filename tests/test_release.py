@@ -1,0 +1,36 @@
+"""What a release states: version, licences of what ships, citation."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import unips_jax
+
+ROOT = Path(__file__).resolve().parents[1]
+ASSETS = ROOT / "unips_jax" / "assets"
+
+
+def test_version_is_the_same_everywhere():
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    versions = re.findall(r"^## (\d\S*) - \d{4}-\d\d-\d\d$", changelog, re.MULTILINE)
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert versions[0] == unips_jax.__version__
+    assert f"\nversion: {unips_jax.__version__}\n" in citation
+    released = re.search(rf"^## {re.escape(versions[0])} - (\S+)$", changelog, re.M)
+    assert f'\ndate-released: "{released[1]}"\n' in citation
+
+
+def test_every_asset_has_a_licence_that_the_package_names():
+    rows = re.findall(
+        r"^\| `([^`]+)` \|.*\| (\S+) \|$", (ASSETS / "LICENSES.md").read_text(), re.M
+    )
+    licences = {name.rstrip("/"): licence for name, licence in rows}
+    assert set(licences) == {p.name for p in ASSETS.iterdir()} - {"LICENSES.md"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(project["license"].split(" AND ")) == set(licences.values())
+
+
+def test_every_weights_file_has_a_model_card():
+    cards = (ROOT / "docs" / "models.md").read_text()
+    for file in ASSETS.glob("*.safetensors"):
+        assert f"\n## {file.name}\n" in cards
