@@ -49,9 +49,12 @@ def test_png_is_exact_to_half_a_level_and_background_is_near_zero(tmp_path, norm
     assert sorted(p.name for p in tmp_path.iterdir()) == ["normals.npy", "normals.png"]
 
 
-def test_directx_flips_green_of_maps_not_of_arrays(tmp_path, normals):
-    write_normals(tmp_path, normals, exr=True, mat=True, normal_map="directx")
-    flipped = normals * [1, -1, 1]
+@pytest.mark.parametrize(
+    ("normal_map", "signs"), [("directx", [1, -1, 1]), ("opencv", [1, -1, -1])]
+)
+def test_conventions_turn_maps_not_arrays(tmp_path, normals, normal_map, signs):
+    write_normals(tmp_path, normals, exr=True, mat=True, normal_map=normal_map)
+    flipped = normals * signs
     assert np.abs(decoded(tmp_path / "normals.png") - flipped).max() <= 2e-5
     exr = OpenEXR.File(str(tmp_path / "normals.exr")).channels()["RGB"].pixels
     np.testing.assert_array_equal(exr, flipped.astype(np.float32))

@@ -37,6 +37,8 @@ def files(tmp_path):
     cv2.imwrite(str(tmp_path / "map.png"), encode_normals(normals)[..., ::-1])
     down = encode_normals(normals * [1, -1, 1])[..., ::-1]
     cv2.imwrite(str(tmp_path / "directx.png"), down)
+    away = encode_normals(normals * [1, -1, -1])[..., ::-1]
+    cv2.imwrite(str(tmp_path / "opencv.png"), away)
     cv2.imwrite(str(tmp_path / "mask.png"), np.uint8(255 * mask))
     photo = np.zeros((48, 48, 3), np.uint8)
     photo[:24, :, 2] = 255  # red above
@@ -45,7 +47,13 @@ def files(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "given", [["normals.npy"], ["map.png"], ["directx.png", "--normal-map", "directx"]]
+    "given",
+    [
+        ["normals.npy"],
+        ["map.png"],
+        ["directx.png", "--normal-map", "directx"],
+        ["opencv.png", "--normal-map", "opencv"],
+    ],
 )
 def test_depth_in_millimetres(given, files, capsys):
     name, *options = given

@@ -53,7 +53,8 @@ class Options:
         metallic: of the whole surface.
         exposure: brighter by so many stops than the image whose brightest half a
             percent is just below white.
-        normal_map: green of a normal map is up (opengl) or down (directx).
+        normal_map: green of a normal map is up (opengl) or down (directx), or down and
+            blue away from the viewer (opencv).
         focal: focal length in pixels; without it the camera is orthographic.
     """
 

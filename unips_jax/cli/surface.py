@@ -47,8 +47,8 @@ class Options:
         normals: a normal map, a .npy, or a folder of results.
         output: folder for the results.
         mask: an image that is bright on the object; by default where normals are not 0.
-        normal_map: green of a normal map is up (opengl) or down (directx); arrays are
-            always up.
+        normal_map: green of a normal map is up (opengl) or down (directx), or down and
+            blue away from the viewer (opencv); arrays are always as opengl.
         photograph: an image of the same size: colours of the mesh, and --focal exif.
         focal: focal length in pixels, or exif, of the photograph; without it the camera
             is orthographic.

@@ -38,7 +38,8 @@ class FolderOptions:
         size: side in pixels that the official reader resizes to; 512 if not given.
         exr: also write normals.exr.
         mat: also write normals.mat, for MATLAB, key Normal_est.
-        normal_map: green of PNG and EXR is up (opengl) or down (directx).
+        normal_map: green of PNG and EXR is up (opengl) or down (directx), or down and
+            blue away from the viewer (opencv).
         depth: also write depth.exr, depth.png and height.png; see `unips surface`.
         mesh: also write a mesh, and the depth.
         lights: also write each photograph's light, lights.json and lights.lp.

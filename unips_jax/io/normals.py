@@ -4,8 +4,9 @@ Arrays (`.npy`, `.mat`) hold unit normals, x right, y up, z towards the viewer, 
 the background. Normal maps are images of integers, `(n + 1) / 2` of full scale rounded
 to the nearest in R, G, B, or float images (EXR, TIFF) holding n. Zero lies between two
 of the integers; the upper one, 32768 of 16 bits, stands for it. Either, in all three
-channels, is read as 0. DirectX maps have y, the green channel, flipped; OpenGL maps do
-not.
+channels, is read as 0. DirectX maps have y, the green channel, flipped; OpenCV's are in
+the frame of its cameras, x right, y down, z away from the viewer; OpenGL's are as the
+arrays.
 """
 
 from pathlib import Path
@@ -22,7 +23,9 @@ from unips_jax.io.images import (
     write_image,
 )
 
-NormalMap = Literal["opengl", "directx"]
+NormalMap = Literal["opengl", "directx", "opencv"]
+
+_SIGNS = {"opengl": (1, 1, 1), "directx": (1, -1, 1), "opencv": (1, -1, -1)}
 
 _FULL = 65535
 
@@ -44,8 +47,8 @@ def write_normals(
         mat: also write `normals.mat`, for MATLAB, key `Normal_est`.
         normal_map: convention of the PNG and the EXR.
     """
-    flipped = flip_green(normals) if normal_map == "directx" else normals
-    write_image(folder / "normals.png", encode_normals(flipped))
+    turned = turn_normals(normals, normal_map)
+    write_image(folder / "normals.png", encode_normals(turned))
     np.save(folder / "normals.npy", normals)
     if exr:
         import OpenEXR
@@ -54,7 +57,7 @@ def write_normals(
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
         }
-        channels = {"RGB": np.ascontiguousarray(flipped)}
+        channels = {"RGB": np.ascontiguousarray(turned)}
         write_exr(folder / "normals.exr", channels, header)
     if mat:
         import scipy.io
@@ -119,8 +122,7 @@ def load_normals(path: Path, normal_map: NormalMap = "opengl") -> np.ndarray:
     if path.is_dir():
         path = path / "normals.npy"
     if path.suffix != ".npy":
-        normals = read_normals(path)
-        return flip_green(normals) if normal_map == "directx" else normals
+        return turn_normals(read_normals(path), normal_map)
     normals = read_array(path)
     if normals.ndim != 3 or normals.shape[2] != 3:
         raise InputError(
@@ -178,10 +180,11 @@ def has_unit_length(normals: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
     return np.abs(1 - length) < tolerance
 
 
-def flip_green(normals: np.ndarray) -> np.ndarray:
-    """Negates y: turns an OpenGL normal map to a DirectX one, and back.
+def turn_normals(normals: np.ndarray, normal_map: NormalMap) -> np.ndarray:
+    """Normals of arrays as those of a map's convention, and back.
 
     Args:
         normals: `[..., 3]`.
+        normal_map: the convention; see the module.
     """
-    return normals * np.array([1, -1, 1], normals.dtype)
+    return normals * np.array(_SIGNS[normal_map], normals.dtype)

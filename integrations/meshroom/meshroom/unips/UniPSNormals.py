@@ -1,0 +1,267 @@
+"""A Meshroom node: normals of every pose, by the command `unips estimate`.
+
+Needs nothing but the standard library in Meshroom's Python; what computes is the
+command, in an environment of its own.
+"""
+
+import json
+import logging
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from meshroom.core import desc
+
+# What a folder of photographs may hold beside them.
+MAPS = {"mask", "normal", "normals", "depth", "albedo"}
+IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".exr", ".hdr", ".bmp"}
+
+
+class UniPSNormals(desc.Node):
+    """Normals from photographs of each pose under different, unknown light.
+
+    A pose is a place of the camera: the views of an SfMData file that share a poseId,
+    or a folder of photographs. Results have the photographs' size and are named
+    POSE_normals.png (16 bits) and POSE_normals.exr. poses.json says how every pose
+    went.
+    """
+
+    category = "Photometric Stereo"
+    cpu = desc.Level.INTENSIVE
+    gpu = desc.Level.NONE
+
+    inputs = [
+        desc.File(
+            name="input",
+            label="Input",
+            description="SfMData file (.sfm, .json), or a folder that holds a folder "
+            "of photographs for every pose.",
+            value="",
+        ),
+        desc.File(
+            name="maskFolder",
+            label="Mask Folder",
+            description="Masks named POSE.png, or as one of the pose's photographs; "
+            "without one, the mask beside the photographs is taken.",
+            value="",
+        ),
+        desc.IntParam(
+            name="maxImages",
+            label="Max Images",
+            description="Use so many photographs of a pose, drawn with the seed; 0: "
+            "all.",
+            value=0,
+            range=(0, 100, 1),
+        ),
+        desc.IntParam(
+            name="seed",
+            label="Seed",
+            description="Of that draw: the same seed draws the same photographs.",
+            value=0,
+            range=(0, 1000000, 1),
+        ),
+        desc.ChoiceParam(
+            name="outputFormat",
+            label="Format",
+            description="PNG of 16 bits, EXR of 32-bit floats, or both.",
+            value="both",
+            values=["png", "exr", "both"],
+            exclusive=True,
+        ),
+        desc.ChoiceParam(
+            name="convention",
+            label="Convention",
+            description="opengl: y up, z towards the viewer. opencv: y down, z away "
+            "from the viewer, the frame of SfMData's cameras. directx: y down.",
+            value="opengl",
+            values=["opengl", "opencv", "directx"],
+            exclusive=True,
+        ),
+        desc.ChoiceParam(
+            name="failurePolicy",
+            label="On Failure",
+            description="stop: at the first pose that gives no normals. skip: go on, "
+            "and fail only if no pose gives any.",
+            value="stop",
+            values=["stop", "skip"],
+            exclusive=True,
+        ),
+        desc.StringParam(
+            name="executable",
+            label="Command",
+            description="How unips is called, e.g. /opt/unips/bin/unips.",
+            value="unips",
+            advanced=True,
+        ),
+        desc.StringParam(
+            name="weights",
+            label="Weights",
+            description="Name of shipped weights, or a .safetensors file.",
+            value="tiny",
+            advanced=True,
+        ),
+    ]
+    outputs = [
+        desc.File(
+            name="output",
+            label="Normals Folder",
+            description="POSE_normals.png, POSE_normals.exr, poses.json.",
+            value="{nodeCacheFolder}",
+        ),
+    ]
+
+    def processChunk(self, chunk: Any) -> None:  # noqa: N802 (Meshroom's name)
+        """Estimates every pose; called by Meshroom."""
+        node = chunk.node
+        options = {
+            name: getattr(node, name).value
+            for name in [attribute.name for attribute in self.inputs]
+        }
+        log = getattr(chunk, "logger", None) or logging.getLogger("UniPSNormals")
+        estimate_poses(options, Path(node.output.value), log)
+
+
+def estimate_poses(options: dict[str, Any], output: Path, log: Any) -> dict[str, str]:
+    """Runs the command for every pose and collects what it wrote.
+
+    Args:
+        options: values of the node's inputs, by name.
+        output: folder for the results.
+        log: a logger.
+
+    Returns:
+        What became of each pose: "done", or why not; also in `poses.json`.
+
+    Raises:
+        RuntimeError: by the failure policy, or if there are no poses.
+    """
+    poses = find_poses(Path(options["input"]))
+    output.mkdir(parents=True, exist_ok=True)
+    outcome: dict[str, str] = {}
+    for number, (pose, photographs) in enumerate(poses.items(), 1):
+        log.info(f"pose {pose} ({number} of {len(poses)}): {len(photographs)} images")
+        try:
+            _estimate(pose, photographs, options, output)
+            outcome[pose] = "done"
+        except RuntimeError as error:
+            outcome[pose] = str(error)
+            log.error(f"pose {pose}: {error}")
+        text = json.dumps(outcome, indent=1)
+        (output / "poses.json").write_text(text)
+        if outcome[pose] != "done" and options["failurePolicy"] == "stop":
+            raise RuntimeError(f"pose {pose} gave no normals: {outcome[pose]}")
+    if "done" not in outcome.values():
+        raise RuntimeError(f"no pose gave normals; see {output / 'poses.json'}")
+    return outcome
+
+
+def find_poses(source: Path) -> dict[str, list[Path]]:
+    """The photographs of each pose, by its name, sorted.
+
+    Args:
+        source: an SfMData file, or a folder of folders of photographs.
+
+    Raises:
+        RuntimeError: if there are none.
+    """
+    poses: dict[str, list[Path]] = {}
+    if source.is_dir():
+        for folder in sorted(path for path in source.iterdir() if path.is_dir()):
+            files = [path for path in folder.iterdir() if _is_photograph(path)]
+            if files:
+                poses[re.sub(r"\.data$", "", folder.name)] = files
+    elif source.is_file():
+        try:
+            views = json.loads(source.read_text())["views"]
+            for view in views:
+                path = Path(view["path"])
+                poses.setdefault(str(view["poseId"]), []).append(
+                    path if path.is_absolute() else source.parent / path
+                )
+        except (ValueError, KeyError, TypeError) as error:
+            raise RuntimeError(
+                f"{source}: expected SfMData with views of path and poseId, got "
+                f"{type(error).__name__}: {error}"
+            ) from error
+    if not poses:
+        raise RuntimeError(
+            f"{source}: expected an SfMData file, or a folder with a folder of "
+            "photographs for every pose; found neither"
+        )
+    return {pose: sorted(paths) for pose, paths in sorted(poses.items())}
+
+
+def _estimate(
+    pose: str, photographs: list[Path], options: dict[str, Any], output: Path
+) -> None:
+    """One pose, in a folder of links, so that only its photographs are read."""
+    with tempfile.TemporaryDirectory(dir=output, prefix=f".{pose}-") as scratch:
+        folder = Path(scratch) / pose
+        folder.mkdir()
+        for number, path in enumerate(photographs):
+            if not path.is_file():
+                raise RuntimeError(f"{path}: no such file")
+            # Views of different folders may have the same name.
+            _link(path, folder / f"{number:04}_{path.name}")
+        command = [*shlex.split(options["executable"]), "estimate", str(folder)]
+        command += ["-o", str(Path(scratch) / "out"), "--weights", options["weights"]]
+        command += ["--normal-map", options["convention"]]
+        if options["maxImages"]:
+            count = min(options["maxImages"], len(photographs))
+            command += ["--max-images", str(count), "--seed", str(options["seed"])]
+        mask = _mask(pose, photographs, options["maskFolder"])
+        if mask is not None:
+            command += ["--mask", str(mask)]
+        if options["outputFormat"] != "png":
+            command.append("--exr")
+        _run(command)
+        suffixes = {"both": ("png", "exr")}.get(
+            options["outputFormat"], (options["outputFormat"],)
+        )
+        for suffix in (*suffixes, "json"):
+            result = Path(scratch) / "out" / pose / f"normals.{suffix}"
+            os.replace(result, output / f"{pose}_normals.{suffix}")
+
+
+def _run(command: list[str]) -> None:
+    try:
+        run = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        raise RuntimeError(
+            f"{command[0]}: expected the command of unips_jax, got: "
+            f"{error.strerror}; give its path as Command"
+        ) from error
+    if run.returncode:
+        said = [line for line in run.stderr.splitlines() if line.startswith("error:")]
+        raise RuntimeError(
+            " ".join(said).removeprefix("error: ") or f"exit status {run.returncode}"
+        )
+
+
+def _is_photograph(path: Path) -> bool:
+    return path.suffix.lower() in IMAGES and path.stem.lower() not in MAPS
+
+
+def _mask(pose: str, photographs: list[Path], folder: str) -> Path | None:
+    """The pose's mask in the mask folder; else one beside the photographs."""
+    if folder:
+        for stem in (pose, *(path.stem for path in photographs)):
+            for path in sorted(Path(folder).glob(f"{stem}.*")):
+                if path.suffix.lower() in IMAGES:
+                    return path
+    for path in sorted(photographs[0].parent.glob("mask.*")):
+        if path.suffix.lower() in IMAGES:
+            return path
+    return None
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        target.symlink_to(source.resolve())
+    except OSError:  # Windows, without the right to
+        shutil.copyfile(source, target)

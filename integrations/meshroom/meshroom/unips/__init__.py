@@ -1,0 +1,3 @@
+"""Meshroom nodes."""
+
+__version__ = "1.0"

@@ -1,0 +1,170 @@
+"""The Meshroom node, by Meshroom's documented interface: it is on no package index.
+
+Descriptions are checked against the arguments that Meshroom's "Node Development" page
+names; computing is done by the command itself, called in this process.
+"""
+
+import contextlib
+import importlib.util
+import io
+import json
+import logging
+import sys
+import types
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+from small_networks import SMALL, lively_weights
+from training_runs import write_objects
+
+from unips_jax.cli.main import main
+from unips_jax.io.normals import read_normals
+from unips_jax.weights import save_weights
+
+PLUGIN = Path(__file__).resolve().parents[1] / "integrations" / "meshroom"
+COMMON = {"name", "label", "description", "value", "advanced", "enabled", "exposed"}
+ATTRIBUTES = {
+    "File": set(),
+    "IntParam": {"range"},
+    "StringParam": set(),
+    "ChoiceParam": {"values", "exclusive"},
+}
+
+
+def attribute(kind, allowed):
+    def describe(**given):
+        assert {"name", "label", "description", "value"} <= set(given) <= allowed
+        return types.SimpleNamespace(kind=kind, **given)
+
+    return describe
+
+
+@pytest.fixture
+def node(monkeypatch):
+    desc = types.ModuleType("meshroom.core.desc")
+    desc.Node = type("Node", (), {})
+    desc.Level = types.SimpleNamespace(INTENSIVE=3, NORMAL=1, NONE=0)
+    for kind, own in ATTRIBUTES.items():
+        setattr(desc, kind, attribute(kind, COMMON | own))
+    core = types.ModuleType("meshroom.core")
+    core.desc = desc
+    for name in ("meshroom", "meshroom.core", "meshroom.core.desc"):
+        monkeypatch.setitem(sys.modules, name, core if name[-4:] == "core" else desc)
+    path = PLUGIN / "meshroom" / "unips" / "UniPSNormals.py"
+    spec = importlib.util.spec_from_file_location("UniPSNormals", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+
+    def call(command, **_):
+        assert command[0] == "unips"
+        with (
+            contextlib.redirect_stderr(io.StringIO()) as told,
+            contextlib.redirect_stdout(io.StringIO()),
+        ):
+            status = main(command[1:])
+        return types.SimpleNamespace(returncode=status, stderr=told.getvalue())
+
+    monkeypatch.setattr(module.subprocess, "run", call)
+    return module
+
+
+def compute(module, output, **values):
+    """What Meshroom does: values of the attributes, then `processChunk`."""
+    described = module.UniPSNormals()
+    given = {a.name: a.value for a in described.inputs} | values
+    assert set(given) == {a.name for a in described.inputs}
+    attributes = {k: types.SimpleNamespace(value=v) for k, v in given.items()}
+    attributes["output"] = types.SimpleNamespace(value=str(output))
+    chunk = types.SimpleNamespace(
+        node=types.SimpleNamespace(**attributes), logger=logging.getLogger("node")
+    )
+    described.processChunk(chunk)
+
+
+@pytest.fixture
+def poses(tmp_path):
+    (tmp_path / "set").mkdir()
+    write_objects(tmp_path / "set")
+    save_weights(tmp_path / "small.safetensors", SMALL, lively_weights())
+    return tmp_path
+
+
+def test_descriptions_hold_what_choices_need(node):
+    for attribute in node.UniPSNormals.inputs:
+        if attribute.kind == "ChoiceParam":
+            assert attribute.value in attribute.values
+    (output,) = node.UniPSNormals.outputs
+    assert output.value == "{nodeCacheFolder}"
+
+
+def test_poses_of_sfm_data_by_seed_format_and_convention(node, poses):
+    views = [
+        {"viewId": str(i), "poseId": str(pose), "path": str(path)}
+        for pose in (0, 1)
+        for i, path in enumerate((poses / "set" / f"object{pose}.data").glob("0*"))
+    ]
+    (poses / "in.sfm").write_text(json.dumps({"version": ["1"], "views": views}))
+    masks = poses / "masks"
+    masks.mkdir()
+    mask = np.zeros((16, 16), np.uint8)
+    mask[4:12, 4:12] = 255
+    for pose in (0, 1):
+        cv2.imwrite(str(masks / f"{pose}.png"), mask)
+    given = {
+        "input": str(poses / "in.sfm"),
+        "maskFolder": str(masks),
+        "weights": str(poses / "small.safetensors"),
+        "maxImages": 2,
+    }
+    compute(node, poses / "a", **given, seed=1)
+    compute(node, poses / "b", **given, seed=1, convention="opencv")
+    compute(node, poses / "c", **given, seed=2, outputFormat="png")
+    files = {p.name for p in (poses / "a").iterdir()}
+    assert files == {
+        "poses.json",
+        *(f"{p}_normals.{s}" for p in (0, 1) for s in ("png", "exr", "json")),
+    }
+    assert not (poses / "c" / "0_normals.exr").exists()
+    exr = OpenEXR.File(str(poses / "a" / "0_normals.exr")).channels()["RGB"].pixels
+    turned = OpenEXR.File(str(poses / "b" / "0_normals.exr")).channels()["RGB"].pixels
+    assert exr.shape == (16, 16, 3)
+    np.testing.assert_array_equal(turned, exr * np.float32([1, -1, -1]))
+    np.testing.assert_array_equal(np.linalg.norm(exr, axis=-1) > 0.5, mask > 0)
+    png = read_normals(poses / "a" / "0_normals.png")
+    np.testing.assert_allclose(png, exr, atol=2e-5)
+    other = read_normals(poses / "c" / "0_normals.png")
+    assert np.abs(other - png).max() > 1e-3  # drawn by another seed
+    records = [
+        json.loads((poses / run / "0_normals.json").read_text()) for run in ("a", "c")
+    ]
+    assert all(len(record["images"]) == 2 for record in records)
+
+
+def test_failures_stop_or_are_skipped(node, poses):
+    broken = poses / "set" / "object0.data"
+    for path in broken.iterdir():
+        path.write_bytes(b"no image")
+    given = {
+        "input": str(poses / "set"),
+        "weights": str(poses / "small.safetensors"),
+        "outputFormat": "png",
+    }
+    with pytest.raises(RuntimeError, match="pose object0 gave no normals: .*0_"):
+        compute(node, poses / "stop", **given)
+    assert list(json.loads((poses / "stop" / "poses.json").read_text())) == ["object0"]
+    compute(node, poses / "skip", **given, failurePolicy="skip")
+    outcome = json.loads((poses / "skip" / "poses.json").read_text())
+    assert [outcome[f"object{i}"] == "done" for i in range(5)] == [False] + [True] * 4
+    assert len(list((poses / "skip").glob("*_normals.png"))) == 4
+    assert not list((poses / "skip").glob(".*"))
+
+
+def test_a_command_that_is_not_there_is_named(node, poses, monkeypatch):
+    monkeypatch.undo()  # the process is really started
+    with pytest.raises(RuntimeError, match="/no/unips: expected the command"):
+        node._run(["/no/unips", "estimate"])
+    with pytest.raises(RuntimeError, match="expected an SfMData file"):
+        node.find_poses(poses / "nothing")
