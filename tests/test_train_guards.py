@@ -261,6 +261,31 @@ def test_what_a_run_tells(tmp_path, capsys, monkeypatch):
     assert [values["loss"] for values in log.pending()] == [10, 11]
 
 
+def test_a_sink_takes_metrics_and_pictures(tmp_path, monkeypatch):
+    """One that is written against the protocol of `clu.metric_writers`."""
+    monkeypatch.setitem(sys.modules, "tensorboardX", None)
+    assert not TrainLog(tmp_path, 0, 5).shows_pictures
+    taken = []
+
+    class Writer:
+        def write_scalars(self, step, scalars):
+            taken.append((step, scalars))
+
+        def write_images(self, step, images):
+            taken.append((step, {k: v.shape for k, v in images.items()}))
+
+    log = TrainLog(tmp_path, 0, 5, every=2, sink=Writer())
+    for step in (1, 2):
+        log.step(step, {"loss": np.float32(step)})
+    log.record(2, {"validation/mae": 20})
+    log.pictures(2, {"a": np.zeros((4, 6, 3), np.uint8)})
+    assert taken == [
+        (2, {"loss": 1.5}),
+        (2, {"validation/mae": 20.0}),
+        (2, {"a": (1, 4, 6, 3)}),
+    ]
+
+
 @pytest.mark.parametrize(
     ("seconds", "text"),
     [(3.4, "3 s"), (119, "119 s"), (130, "2 min"), (9000, "2.5 h"), (2e5, "2.3 days")],

@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import re
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ CONFIG = Config(
 )
 
 
-def test_scores_groups_and_pictures(tmp_path):
+def test_scores_groups_and_pictures(tmp_path, monkeypatch):
     params = lively_weights(CONFIG.model)
     options = {"count": 3, "num_images": 2, "size": 32}
     scores = validate(params, CONFIG.model, SceneConfig(), **options)
@@ -38,17 +40,22 @@ def test_scores_groups_and_pictures(tmp_path):
     assert picture.shape == (32, 4 * 32, 3)
     assert picture.dtype == np.uint8
 
-    log = TrainLog(tmp_path, 0, 1)
     seen = []
 
     class Writer:
+        def __init__(self, *_, **__):
+            pass
+
         def add_image(self, *arguments, **options):
             seen.append((*arguments, options))
 
-    log._tensorboard = Writer()
+    fake = SimpleNamespace(SummaryWriter=Writer)
+    monkeypatch.setitem(sys.modules, "tensorboardX", fake)
+    log = TrainLog(tmp_path, 0, 1)
     assert log.shows_pictures
     log.pictures(7, pictures)
     assert seen[0][0] == "validation/scene0"
+    np.testing.assert_array_equal(seen[0][1], picture)
     assert seen[0][2:] == (7, {"dataformats": "HWC"})
 
 

@@ -1,4 +1,4 @@
-"""What a training run tells: lines, JSON lines, and TensorBoard if installed."""
+"""What a training run tells: lines, JSON lines, and sinks such as TensorBoard."""
 
 import contextlib
 import json
@@ -13,6 +13,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import write_whole
+from unips_jax.training.tracking import Sink, TensorBoard
 
 # The order of metrics in printed lines, which are to fit 100 columns.
 _FIRST = ("loss", "mae_deg")
@@ -36,6 +37,7 @@ class TrainLog:
         *,
         every: int = 1,
         pending: list[dict[str, float]] | None = None,
+        sink: Sink | None = None,
     ) -> None:
         """Opens the log; lines of steps after `first` are dropped, they come again.
 
@@ -45,13 +47,18 @@ class TrainLog:
             steps: length of the run.
             every: steps between two lines of metrics, each of their means.
             pending: metrics of the steps before `first` that no line holds yet.
+            sink: also takes metrics and pictures, beside TensorBoard if installed.
         """
         self._active = jax.process_index() == 0
         self._path = workdir / "metrics.jsonl"
         self._first, self._steps, self._every = first, steps, every
         self._pending: list[Any] = jax.tree.map(np.float32, pending or [])
         self._start, self._untimed = time.monotonic(), 0.0
-        self._tensorboard: Any = _tensorboard(workdir, first) if self._active else None
+        self._sinks: list[Sink] = []
+        if self._active:
+            self._sinks = [] if sink is None else [sink]
+            with contextlib.suppress(ImportError):
+                self._sinks.append(TensorBoard(workdir, first))
         if self._active and self._path.exists():
             lines = self._path.read_text().splitlines()
             kept = [line for line in lines if _step_of(line) <= first]
@@ -98,7 +105,7 @@ class TrainLog:
         return jax.tree.map(float, self._pending)
 
     def record(self, step: int, values: Mapping[str, Any]) -> None:
-        """Writes numbers to `metrics.jsonl` and TensorBoard.
+        """Writes numbers to `metrics.jsonl` and the sinks.
 
         Raises:
             InputError: if the file cannot be written, as on a full disk.
@@ -114,19 +121,18 @@ class TrainLog:
                 f"{self._path}: expected a file that can be written, got: "
                 f"{error.strerror}; mend that, the same command then goes on"
             ) from error
-        if self._tensorboard is not None:
-            for name, value in numbers.items():
-                self._tensorboard.add_scalar(name, value, step)
+        for sink in self._sinks:
+            sink.write_scalars(step, numbers)
 
     @property
     def shows_pictures(self) -> bool:
-        """Whether pictures go anywhere: to TensorBoard, if installed."""
-        return self._tensorboard is not None
+        """Whether pictures go anywhere."""
+        return bool(self._sinks)
 
     def pictures(self, step: int, named: Mapping[str, np.ndarray]) -> None:
-        """Records pictures, `[H, W, 3]` uint8, in TensorBoard."""
-        for name, picture in named.items():
-            self._tensorboard.add_image(name, picture, step, dataformats="HWC")
+        """Sends pictures, `[H, W, 3]` uint8, to the sinks."""
+        for sink in self._sinks:
+            sink.write_images(step, {name: named[name][None] for name in named})
 
     def _tell(self, step: int, values: Mapping[str, Any]) -> None:
         elapsed = time.monotonic() - self._start - self._untimed
@@ -162,11 +168,3 @@ def _step_of(line: str) -> float:
         return json.loads(line)["step"]
     except json.JSONDecodeError:
         return float("inf")
-
-
-def _tensorboard(workdir: Path, first: int) -> Any:
-    try:
-        from tensorboardX import SummaryWriter
-    except ImportError:
-        return None
-    return SummaryWriter(str(workdir / "tensorboard"), purge_step=first + 1)

@@ -43,6 +43,7 @@ from unips_jax.training.sharding import (
 )
 from unips_jax.training.state import TrainState, init_state, new_state
 from unips_jax.training.step import Batch, train_step
+from unips_jax.training.tracking import Sink
 from unips_jax.training.validation import (
     score_table,
     validate,
@@ -55,7 +56,11 @@ _SAME_PARAMETERS = {"remat", "dtype", "dropout_rate", "drop_path_rate"}
 
 
 def train(
-    config: Config, workdir: Path, *, init_weights: str | None = None
+    config: Config,
+    workdir: Path,
+    *,
+    init_weights: str | None = None,
+    sink: Sink | None = None,
 ) -> TrainState:
     """Trains, from nothing or from the newest checkpoint in `workdir`.
 
@@ -66,6 +71,7 @@ def train(
         config: of the run.
         workdir: its folder.
         init_weights: weights to start a new run from.
+        sink: also takes metrics and pictures.
 
     Returns:
         The state after the last step, or at SIGTERM to any of the processes.
@@ -100,7 +106,7 @@ def train(
         unlogged = record.pop("unlogged", [])
         first, steps = int(state.step), config.train.steps
         every = config.train.log_every
-        log = TrainLog(workdir, first, steps, every=every, pending=unlogged)
+        log = TrainLog(workdir, first, steps, every=every, pending=unlogged, sink=sink)
         run_step = compile_together(
             _jitted_step(config, abstract, mesh), log.compiling, settle
         )

@@ -1,0 +1,193 @@
+"""Blender add-on: photographs under changing light become a material and a relief.
+
+File > Import > Photographs (UniPS). The command `unips estimate` of unips_jax, in an
+environment of its own, makes normals and depth; the add-on makes of them a displaced
+mesh and a material with normal, colour and roughness.
+"""
+
+import json
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import bpy
+from bpy.props import FloatProperty, IntProperty, StringProperty
+
+from . import color, relief
+
+bl_info = {
+    "name": "UniPS: material from photographs",
+    "author": "The unips_jax authors",
+    "version": (0, 2, 0),
+    "blender": (4, 2, 0),
+    "location": "File > Import > Photographs (UniPS)",
+    "category": "Import-Export",
+}
+
+
+class UnipsError(RuntimeError):
+    """What went wrong, in one line for the user."""
+
+
+def estimate(
+    photographs: Path, *, command: str, weights: str, max_images: int, seed: int
+) -> Path:
+    """Runs `unips estimate` on a folder of photographs.
+
+    Args:
+        photographs: the folder.
+        command: how unips is called, e.g. "/opt/unips/bin/unips".
+        weights: name of shipped weights, or a file.
+        max_images: draw so many of the photographs, with the seed; 0: all.
+        seed: of that draw.
+
+    Returns:
+        The folder of results, `NAME_unips/NAME` beside the photographs.
+
+    Raises:
+        UnipsError: what the command said, or that there is none.
+    """
+    name = re.sub(r"\.data$", "", photographs.name)
+    output = photographs.parent / f"{name}_unips"
+    words = [*shlex.split(command), "estimate", str(photographs), "-o", str(output)]
+    words += ["--depth", "--weights", weights]
+    if max_images:
+        words += ["--max-images", str(max_images), "--seed", str(seed)]
+    try:
+        run = subprocess.run(words, capture_output=True, text=True)
+    except OSError as error:
+        raise UnipsError(
+            f"{words[0]}: {error.strerror}; name the command of unips_jax in the "
+            "add-on's preferences"
+        ) from error
+    if run.returncode:
+        said = [line for line in run.stderr.splitlines() if line.startswith("error:")]
+        raise UnipsError(" ".join(said) or f"unips ended with {run.returncode}")
+    return output / name
+
+
+def build(
+    result: Path, photographs: Path, *, roughness: float, strength: float
+) -> bpy.types.Object:
+    """Makes an object of a folder of results.
+
+    Args:
+        result: what `unips estimate --depth` wrote.
+        photographs: what it was made from.
+        roughness: of the material; photographs are not asked for it.
+        strength: of the displacement; 1: true to the normals.
+
+    Returns:
+        The object, in the scene: two units wide or high, facing +Z, y up.
+
+    Raises:
+        UnipsError: if files are missing.
+    """
+    try:
+        record = json.loads((result / "normals.json").read_text())
+        pictures = {
+            name: relief.load_data(result / f"{name}.png")
+            for name in ("normals", "height")
+        }
+    except (OSError, RuntimeError, ValueError) as error:
+        raise UnipsError(f"{result}: {error}") from error
+    base_color = color.base_color(
+        [photographs / name for name in record["images"]],
+        relief.pixels_of(pictures["normals"]),
+        transfer=record["transfer"],
+    )
+    path = result.parent / f"{result.name}_base_color.png"
+    pictures["base_color"] = relief.save_color(base_color, path)
+    surface = record["surface"]
+    return relief.make_object(
+        result.name,
+        pictures,
+        reach=surface["far"] - surface["near"],
+        roughness=roughness,
+        strength=strength,
+    )
+
+
+class Preferences(bpy.types.AddonPreferences):
+    """Where unips is."""
+
+    bl_idname = __package__
+
+    command: StringProperty(
+        name="Command",
+        description="How unips is called, e.g. /opt/unips/bin/unips",
+        default="unips",
+    )
+
+    def draw(self, context):
+        """Shows the one field."""
+        self.layout.prop(self, "command")
+
+
+class ImportPhotographs(bpy.types.Operator):
+    """Make a material and a relief of a folder of photographs under changing light."""
+
+    bl_idname = "import_scene.unips"
+    bl_label = "Photographs (UniPS)"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(subtype="DIR_PATH")
+    max_images: IntProperty(
+        name="Images", description="Draw so many; 0: all", default=0, min=0
+    )
+    seed: IntProperty(name="Seed", description="Of that draw", default=0, min=0)
+    roughness: FloatProperty(name="Roughness", default=0.5, min=0, max=1)
+    strength: FloatProperty(
+        name="Relief", description="1: true to the normals", default=1, min=0
+    )
+    weights: StringProperty(name="Weights", default="tiny")
+    command: StringProperty(
+        name="Command", description="Empty: the add-on's preferences", default=""
+    )
+
+    def invoke(self, context, event):
+        """Asks for the folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Estimates and builds."""
+        addon = context.preferences.addons.get(__package__)
+        command = self.command or (addon.preferences.command if addon else "unips")
+        folder = Path(bpy.path.abspath(self.directory))
+        try:
+            result = estimate(
+                folder,
+                command=command,
+                weights=self.weights,
+                max_images=self.max_images,
+                seed=self.seed,
+            )
+            made = build(
+                result, folder, roughness=self.roughness, strength=self.strength
+            )
+        except UnipsError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        context.view_layer.objects.active = made
+        made.select_set(True)
+        return {"FINISHED"}
+
+
+def _menu(self, context):
+    self.layout.operator(ImportPhotographs.bl_idname)
+
+
+def register():
+    """Called by Blender."""
+    bpy.utils.register_class(Preferences)
+    bpy.utils.register_class(ImportPhotographs)
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+
+
+def unregister():
+    """Called by Blender."""
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+    bpy.utils.unregister_class(ImportPhotographs)
+    bpy.utils.unregister_class(Preferences)

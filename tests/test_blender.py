@@ -1,0 +1,167 @@
+"""The Blender add-on, in Blender without a window: a hemisphere, rendered by Cycles.
+
+Needs a Python with `bpy` (`UNIPS_BPY_PYTHON`); skipped without, unless
+`UNIPS_REQUIRE_BPY` is set.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from unips_jax.cli.estimate import Options
+from unips_jax.console import parse
+from unips_jax.cycles.blender_process import find_python
+from unips_jax.errors import InputError
+from unips_jax.io.normals import write_normals
+from unips_jax.surface.files import write_depth
+
+ADDON = Path(__file__).resolve().parents[1] / "integrations" / "blender"
+SIZE = 64
+
+# Called by the add-on in place of `unips`: it hands out what is prepared.
+COMMAND = """
+import json, shutil, sys
+from pathlib import Path
+folder = Path(__file__).parent
+(folder / "argv.json").write_text(json.dumps(sys.argv[1:]))
+words = sys.argv
+if "3" in words:
+    sys.exit("error: something about the photographs")
+output = Path(words[words.index("-o") + 1])
+shutil.copytree(folder / "prepared", output / "ball", dirs_exist_ok=True)
+"""
+
+SCENE = """
+import json, os, sys
+import bpy
+import numpy as np
+from mathutils import Vector
+addon, folder, command, output = sys.argv[1:]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+sys.path.insert(0, addon)
+import unips_material
+unips_material.register()
+try:
+    bpy.ops.import_scene.unips(directory=folder, command=command, max_images=3)
+    told = ""
+except RuntimeError as error:
+    told = str(error)
+done = bpy.ops.import_scene.unips(directory=folder, command=command, roughness=1)
+scene = bpy.context.scene
+camera = bpy.data.cameras.new("camera")
+camera.type, camera.ortho_scale = "ORTHO", 2
+scene.camera = bpy.data.objects.new("camera", camera)
+scene.camera.location = (0, 0, 5)
+sun = bpy.data.lights.new("sun", "SUN")
+sun.angle, sun.energy = 0, 2
+lamp = bpy.data.objects.new("sun", sun)
+turn = Vector((1, 0.5, 1)).to_track_quat("Z", "Y")
+lamp.rotation_euler = turn.to_euler()
+for thing in (scene.camera, lamp):
+    scene.collection.objects.link(thing)
+scene.world = bpy.data.worlds.new("dark")
+scene.render.engine, scene.cycles.samples = "CYCLES", 4
+scene.cycles.use_denoising = False
+scene.render.resolution_x = scene.render.resolution_y = 64
+scene.view_settings.view_transform = "Raw"
+scene.render.image_settings.color_depth = "16"
+scene.render.filepath = output
+bpy.ops.render.render(write_still=True)
+ball = bpy.context.object
+moved = ball.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+heights = [vertex.co.z for vertex in moved.vertices]
+facts = {"done": sorted(done), "told": told, "heights": [min(heights), max(heights)]}
+facts["name"], facts["faces"] = ball.name, len(ball.data.polygons)
+facts["up"] = bool(all(polygon.normal.z > 0 for polygon in ball.data.polygons))
+print("FACTS" + json.dumps(facts), flush=True)
+os._exit(0)  # bpy may hang when it ends
+"""
+
+
+@pytest.fixture
+def python():
+    try:
+        return find_python()
+    except InputError as error:
+        if os.environ.get("UNIPS_REQUIRE_BPY"):
+            raise
+        pytest.skip(f"bpy not importable: {error}")
+
+
+def ball():
+    """Normals and mask of a hemisphere of radius 0.9, as seen."""
+    c = (np.arange(SIZE) + 0.5) / SIZE * 2 - 1
+    x, y = np.meshgrid(c / 0.9, -c / 0.9)
+    mask = x * x + y * y < 0.95
+    normals = np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0))], -1)
+    return np.float32(normals * mask[..., None]), mask
+
+
+def prepare(folder):
+    """What `unips estimate --depth` writes, and photographs of it, half red."""
+    normals, mask = ball()
+    result, photographs = folder / "prepared", folder / "ball.data"
+    result.mkdir()
+    photographs.mkdir()
+    write_normals(result, normals)
+    depth = np.where(mask, -normals[..., 2] * 0.9 * SIZE / 2, np.nan)
+    surface = write_depth(result, np.float32(depth), unit="pixels")
+    color = np.where(np.arange(SIZE)[:, None, None] < SIZE // 2, [0.6, 0.2, 0.2], 0.4)
+    names = []
+    for index, light in enumerate(np.eye(3)[[0, 1, 2]] + [0.2, 0.2, 1]):
+        shading = np.maximum(normals @ light, 0)[..., None] / 2
+        names.append(f"{index}.png")
+        image = np.uint16(65535 * color * shading)[..., ::-1]
+        cv2.imwrite(str(photographs / names[-1]), image)
+    record = {"images": dict.fromkeys(names, ""), "transfer": "linear"}
+    (result / "normals.json").write_text(json.dumps({**record, "surface": surface}))
+    return photographs
+
+
+def test_photographs_become_a_material_and_a_relief(python, tmp_path):
+    photographs = prepare(tmp_path)
+    (tmp_path / "command.py").write_text(COMMAND)
+    (tmp_path / "scene.py").write_text(SCENE)
+    command = f"{sys.executable} {tmp_path / 'command.py'}"
+    picture = tmp_path / "render.png"
+    run = subprocess.run(
+        [python, tmp_path / "scene.py", ADDON, photographs, command, picture],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert "FACTS" in run.stdout, run.stdout[-2000:] + run.stderr[-2000:]
+    facts = json.loads(run.stdout.split("FACTS")[1].splitlines()[0])
+    assert facts["done"] == ["FINISHED"] and facts["name"] == "ball"
+    assert "something about the photographs" in facts["told"]
+    assert facts["up"] and facts["faces"] > 2000
+
+    # Two units are 64 pixels; the edge of the mask is at 0.2 of the radius.
+    low, high = facts["heights"]
+    assert high - low == pytest.approx(0.9 * (1 - 0.05**0.5), abs=0.05)
+    argv = json.loads((tmp_path / "argv.json").read_text())
+    given = parse(Options, argv[1:], prog="", description="")
+    assert argv[0] == "estimate" and given.how.depth and given.weights == "tiny"
+
+    # The light comes from the right and above, and reaches what faces it.
+    normals, mask = ball()
+    image = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., :3] / 65535
+    light = np.array([1, 0.5, 1]) / 1.5
+    shading = normals @ light
+    inner = mask & (normals[..., 2] > 0.5) & (shading > 0.2)
+    top = np.broadcast_to(np.arange(SIZE)[:, None] < SIZE // 2, mask.shape)
+    ratios = [
+        image[..., 1][inner & half] / shading[inner & half] for half in (top, ~top)
+    ]
+    for ratio in ratios:
+        assert np.std(ratio) / np.mean(ratio) < 0.15
+    assert np.mean(ratios[0]) / np.mean(ratios[1]) == pytest.approx(0.5, abs=0.1)
+    red, blue = image[..., 2], image[..., 0]
+    rows = inner & top
+    assert np.median(red[rows] / blue[rows]) == pytest.approx(3, abs=0.5)
