@@ -1,12 +1,17 @@
 """What README and the documentation show runs, and their links lead somewhere."""
 
 import contextlib
+import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+import unips_jax
 from unips_jax.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -81,3 +86,36 @@ def test_links_lead_somewhere(page):
         target = (page.parent / name).resolve() if name else page
         assert target.exists(), link
         assert not anchor or anchor in anchors(target.read_text()), link
+
+
+def test_the_tutorial_runs(tmp_path, monkeypatch):
+    """Its cells in order, in one process; what it shows is in the file."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((ROOT / "docs" / "tutorial.ipynb").read_text())["cells"]
+    names: dict = {"__name__": "__main__"}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
+            assert cell["outputs"] or "=" in "".join(cell["source"]), cell["id"]
+    matplotlib.pyplot.close("all")
+    assert names["error"][names["mask"]].mean() < 6
+    assert names["errors"][-1] < 0.5 * names["errors"][0]
+    assert abs(names["gradient"]).max() > 0
+
+
+def test_the_site_builds(tmp_path):
+    pytest.importorskip("mkdocs")
+    pytest.importorskip("mkdocs_jupyter")
+    build = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", tmp_path / "site"],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert build.returncode == 0, build.stderr
+    api = (tmp_path / "site" / "api" / "index.html").read_text()
+    for name in set(unips_jax.__all__) - {"__version__"}:
+        assert f'id="unips_jax.{name}"' in api, name

@@ -1,8 +1,10 @@
 """The colour of a surface from photographs under changing light and its normals.
 
 Each photograph is explained as colour times light, the light linear in the normal: four
-numbers per photograph and channel, by least squares in turns with the colour. What no
-such light explains, shadows and highlights, is weighed down.
+numbers per photograph and channel. Two photographs i and j of a pixel with the vector
+b = (normal, 1) give an equation without the colour, I_i (b . l_j) = I_j (b . l_i); all
+lights together are the eigenvector of the smallest eigenvalue. What no such light
+explains, shadows and highlights, is then left out.
 """
 
 from pathlib import Path
@@ -11,7 +13,7 @@ import numpy as np
 
 from . import relief
 
-ROUNDS = 5
+ROUNDS = 4
 SAMPLES = 20_000  # pixels that the lights are fitted to
 BRIGHT = 0.8  # what the brightest hundredth of the surface reflects
 
@@ -51,21 +53,43 @@ def base_color(files: list[Path], normal_map: np.ndarray, *, transfer: str):
 
 
 def _explain(observed: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Colours `[P, 3]` from images `[N, P, 3]` and vectors `[P, 4]`."""
     chosen = np.random.default_rng(0).permutation(len(basis))[:SAMPLES]
-    color = np.median(observed, axis=0)  # [P, 3]
-    for _ in range(ROUNDS):
-        weighted, weights = np.zeros_like(color), np.full_like(color, 1e-6)
-        for image in observed:
-            for channel in range(3):
-                design = basis[chosen] * color[chosen, channel, None]
-                light, *_ = np.linalg.lstsq(design, image[chosen, channel], rcond=None)
-                shading = np.maximum(basis @ light, 0)
-                error = image[:, channel] - color[:, channel] * shading
-                trust = shading / (1 + (error / 0.2) ** 2)
-                weighted[:, channel] += trust * image[:, channel]
-                weights[:, channel] += trust * shading
-        color = weighted / weights
-    return color
+    colors = []
+    for channel in range(3):
+        images = observed[..., channel].T  # [P, N]
+        trust = (images > 0.1 * np.median(images)).astype(np.float32)
+        for _ in range(ROUNDS):
+            lights = _lights(images[chosen], trust[chosen], basis[chosen])
+            shading = np.maximum(basis @ lights, 1e-3)  # [P, N]
+            color = (trust * images * shading).sum(1)
+            color = color / ((trust * shading**2).sum(1) + 1e-9)
+            error = np.abs(images - color[:, None] * shading)
+            trust = 1 / (1 + (error / (0.1 * images.mean())) ** 2)
+            trust *= shading > 0.05 * shading.mean()
+        colors.append(color)
+    return np.stack(colors, axis=-1)
+
+
+def _lights(images: np.ndarray, trust: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Lights `[4, N]` of a mean shading of 1; see the module."""
+    count = images.shape[1]
+    outer = (basis[:, :, None] * basis[:, None]).reshape(-1, 16)
+    rated = trust * images
+    off = np.einsum("pi,pj,pk->ijk", rated, rated, outer, optimize=True)
+    squares = (rated * images).sum(1, keepdims=True) - rated * images
+    own = (trust * squares).T @ outer  # [N, 16]
+    energy = trust.T @ outer
+    system = -off.reshape(count, count, 4, 4).transpose(0, 2, 1, 3)
+    unit = np.zeros((count, 4, count, 4))  # shadings of no energy explain nothing
+    for i in range(count):
+        system[i, :, i] = own[i].reshape(4, 4)
+        root = np.linalg.cholesky(energy[i].reshape(4, 4) + 1e-6 * np.eye(4))
+        unit[i, :, i] = np.linalg.inv(root).T
+    unit = unit.reshape(4 * count, 4 * count)
+    _, vectors = np.linalg.eigh(unit.T @ system.reshape(unit.shape) @ unit)
+    lights = (unit @ vectors[:, 0]).reshape(count, 4).T
+    return lights / (basis @ lights).mean()
 
 
 def _linear(values: np.ndarray, transfer: str) -> np.ndarray:
