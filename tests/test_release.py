@@ -8,6 +8,7 @@ import unips_jax
 
 ROOT = Path(__file__).resolve().parents[1]
 ASSETS = ROOT / "unips_jax" / "assets"
+VIEWER = ROOT / "unips_jax" / "viewer" / "assets" / "LICENSES.md"
 
 
 def test_version_is_the_same_everywhere():
@@ -26,6 +27,10 @@ def test_every_asset_has_a_licence_that_the_package_names():
     )
     licences = {name.rstrip("/"): licence for name, licence in rows}
     assert set(licences) == {p.name for p in ASSETS.iterdir()} - {"LICENSES.md"}
+    assert set(re.findall(r"Apache-2.0|MIT|CC0-1.0", VIEWER.read_text())) == {
+        *("Apache-2.0", "CC0-1.0", "MIT")
+    }
+    licences["viewer"] = "MIT"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert set(project["license"].split(" AND ")) == set(licences.values())
 
