@@ -104,7 +104,7 @@ def ball():
 
 
 def prepare(folder):
-    """What `unips estimate --depth` writes, and photographs of it, half red."""
+    """What `unips estimate --depth --base-color` writes, half of it red."""
     normals, mask = ball()
     result, photographs = folder / "prepared", folder / "ball.data"
     result.mkdir()
@@ -113,14 +113,10 @@ def prepare(folder):
     depth = np.where(mask, -normals[..., 2] * 0.9 * SIZE / 2, np.nan)
     surface = write_depth(result, np.float32(depth), unit="pixels")
     color = np.where(np.arange(SIZE)[:, None, None] < SIZE // 2, [0.6, 0.2, 0.2], 0.4)
-    names = []
-    for index, light in enumerate(np.eye(3)[[0, 1, 2]] + [0.2, 0.2, 1]):
-        shading = np.maximum(normals @ light, 0)[..., None] / 2
-        names.append(f"{index}.png")
-        image = np.uint16(65535 * color * shading)[..., ::-1]
-        cv2.imwrite(str(photographs / names[-1]), image)
-    record = {"images": dict.fromkeys(names, ""), "transfer": "linear"}
-    (result / "normals.json").write_text(json.dumps({**record, "surface": surface}))
+    color = np.broadcast_to(color, (SIZE, SIZE, 3))
+    encoded = 1.055 * color ** (1 / 2.4) - 0.055
+    cv2.imwrite(str(result / "base_color.png"), np.uint16(65535 * encoded)[..., ::-1])
+    (result / "normals.json").write_text(json.dumps({"surface": surface}))
     return photographs
 
 
@@ -147,7 +143,8 @@ def test_photographs_become_a_material_and_a_relief(python, tmp_path):
     assert high - low == pytest.approx(0.9 * (1 - 0.05**0.5), abs=0.05)
     argv = json.loads((tmp_path / "argv.json").read_text())
     given = parse(Options, argv[1:], prog="", description="")
-    assert argv[0] == "estimate" and given.how.depth and given.weights == "tiny"
+    assert argv[0] == "estimate" and given.how.depth and given.how.base_color
+    assert given.weights == "tiny"
 
     # The light comes from the right and above, and reaches what faces it.
     normals, mask = ball()

@@ -1,8 +1,8 @@
 """Blender add-on: photographs under changing light become a material and a relief.
 
 File > Import > Photographs (UniPS). The command `unips estimate` of unips_jax, in an
-environment of its own, makes normals and depth; the add-on makes of them a displaced
-mesh and a material with normal, colour and roughness.
+environment of its own, makes normals, depth and base colour; the add-on makes of them a
+displaced mesh and a material with normal, colour and roughness.
 """
 
 import json
@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 from bpy.props import FloatProperty, IntProperty, StringProperty
 
-from . import color, relief
+from . import relief
 
 bl_info = {
     "name": "UniPS: material from photographs",
@@ -51,7 +51,7 @@ def estimate(
     name = re.sub(r"\.data$", "", photographs.name)
     output = photographs.parent / f"{name}_unips"
     words = [*shlex.split(command), "estimate", str(photographs), "-o", str(output)]
-    words += ["--depth", "--weights", weights]
+    words += ["--depth", "--base-color", "--weights", weights]
     if max_images:
         words += ["--max-images", str(max_images), "--seed", str(seed)]
     try:
@@ -67,14 +67,11 @@ def estimate(
     return output / name
 
 
-def build(
-    result: Path, photographs: Path, *, roughness: float, strength: float
-) -> bpy.types.Object:
+def build(result: Path, *, roughness: float, strength: float) -> bpy.types.Object:
     """Makes an object of a folder of results.
 
     Args:
-        result: what `unips estimate --depth` wrote.
-        photographs: what it was made from.
+        result: what `unips estimate --depth --base-color` wrote.
         roughness: of the material; photographs are not asked for it.
         strength: of the displacement; 1: true to the normals.
 
@@ -85,21 +82,13 @@ def build(
         UnipsError: if files are missing.
     """
     try:
-        record = json.loads((result / "normals.json").read_text())
+        surface = json.loads((result / "normals.json").read_text())["surface"]
         pictures = {
-            name: relief.load_data(result / f"{name}.png")
-            for name in ("normals", "height")
+            name: relief.load(result / f"{name}.png", color=name == "base_color")
+            for name in ("normals", "height", "base_color")
         }
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise UnipsError(f"{result}: {error}") from error
-    base_color = color.base_color(
-        [photographs / name for name in record["images"]],
-        relief.pixels_of(pictures["normals"]),
-        transfer=record["transfer"],
-    )
-    path = result.parent / f"{result.name}_base_color.png"
-    pictures["base_color"] = relief.save_color(base_color, path)
-    surface = record["surface"]
     return relief.make_object(
         result.name,
         pictures,
@@ -164,9 +153,7 @@ class ImportPhotographs(bpy.types.Operator):
                 max_images=self.max_images,
                 seed=self.seed,
             )
-            made = build(
-                result, folder, roughness=self.roughness, strength=self.strength
-            )
+            made = build(result, roughness=self.roughness, strength=self.strength)
         except UnipsError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -8,14 +8,18 @@ import numpy as np
 VERTICES = 250_000  # of a mesh, at most about
 
 
-def load_data(path: Path) -> bpy.types.Image:
-    """Loads an image whose values are no colours to be converted.
+def load(path: Path, *, color: bool) -> bpy.types.Image:
+    """Loads an image.
+
+    Args:
+        path: of the file.
+        color: its values are colours, in sRGB; else they are taken as they are.
 
     Raises:
         RuntimeError: if Blender cannot read it.
     """
     image = bpy.data.images.load(str(path), check_existing=True)
-    image.colorspace_settings.name = "Non-Color"
+    image.colorspace_settings.name = "sRGB" if color else "Non-Color"
     return image
 
 
@@ -25,27 +29,6 @@ def pixels_of(image: bpy.types.Image) -> np.ndarray:
     values = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(values)
     return values.reshape(height, width, 4)[..., :3]
-
-
-def save_color(linear: np.ndarray, path: Path) -> bpy.types.Image:
-    """Writes an sRGB image of 8 bits, and loads it.
-
-    Args:
-        linear: `[H, W, 3]`, in [0, 1], row 0 at the bottom.
-        path: of the file.
-    """
-    height, width = linear.shape[:2]
-    image = bpy.data.images.new(path.stem, width, height)
-    encoded = np.where(
-        linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055
-    )
-    alpha = np.ones((height, width, 1))
-    image.pixels.foreach_set(
-        np.concatenate([encoded, alpha], -1).astype(np.float32).ravel()
-    )
-    image.filepath_raw, image.file_format = str(path), "PNG"
-    image.save()
-    return image
 
 
 def make_object(
