@@ -1,0 +1,176 @@
+"""Makes the page that estimates normals in a browser alone: a folder for any server.
+
+    python tools/build_browser_page.py OUT [--weights NAME|FILE]
+    python -m http.server -d OUT
+
+Exports the network, and takes onnxruntime-web and fast-png from npm (`npm` must be
+there), pinned: an archive whose hash is not the one below is refused. See
+docs/browser.md.
+"""
+
+import argparse
+import hashlib
+import io
+import shutil
+import subprocess
+import tarfile
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from unips_jax.console import command
+from unips_jax.errors import InputError
+from unips_jax.export.files import write_export
+from unips_jax.io.results import appearing_at_once, check_target
+from unips_jax.weights import load_weights
+
+SOURCE = Path(__file__).parent / "browser"
+RECORD = "network/export.json"
+
+
+class Package(NamedTuple):
+    """What is fetched.
+
+    Attributes:
+        name: in the registry.
+        version: likewise.
+        sha512: of the archive.
+        folder: in the archive, whose files are taken.
+        files: names in it; all scripts if empty.
+    """
+
+    name: str
+    version: str
+    sha512: str
+    folder: str
+    files: tuple[str, ...] = ()
+
+
+PACKAGES = (
+    Package(
+        "onnxruntime-web",
+        "1.30.0",
+        "ab4cbe26baedba45d2cec05610c71c55fa97db92d19a8b171c5f8269126683ca"
+        "590a5cdc57bb2f35ce2b298de32f4d956fb42644c0ecd528a0a91e025c07ca61",
+        "dist",
+        (
+            *("ort.wasm.bundle.min.mjs", "ort-wasm-simd-threaded.mjs"),
+            *("ort-wasm-simd-threaded.wasm", "ort.webgpu.bundle.min.mjs"),
+            "ort-wasm-simd-threaded.asyncify.mjs",
+            "ort-wasm-simd-threaded.asyncify.wasm",
+        ),
+    ),
+    Package(
+        "fast-png",
+        "8.0.0",
+        "802cac35ab09f0a10c81f75820a77fc130e8e8434ad4f593d1124eecefb4a609"
+        "ae1cfc363bab40d56bddc45449a0b7fd57cc856291b4140d58808f17f7b3a124",
+        "lib",
+    ),
+    Package(
+        "fflate",
+        "0.8.3",
+        "b5b64db89acbc06529df3b2106d772e16f8e47166e221f1ae629722044030b9a"
+        "d8d5fdd4db424caf2d0b977581cd4e7c1192ac12e2455e16f9830bfc0ac3ef80",
+        "esm",
+        ("browser.js",),
+    ),
+    Package(
+        "iobuffer",
+        "6.0.1",
+        "49959891635f8c85c8058483a570d8220b21aad6ce3ec8b896f89ac0011c791d"
+        "4aaa4fac1c395c4235abccd42c8a2f34032058d2ae5cf07093363aa8ef8ba5f9",
+        "lib",
+    ),
+)
+
+
+def fetch(package: Package) -> bytes:
+    """The package's archive.
+
+    Raises:
+        InputError: if it cannot be had, or is another one.
+    """
+    name = f"{package.name}@{package.version}"
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["npm", "pack", "--silent", name]
+        try:
+            subprocess.run(
+                words, cwd=folder, check=True, capture_output=True, text=True
+            )
+        except FileNotFoundError:
+            raise InputError("npm: expected on the path, found none") from None
+        except subprocess.CalledProcessError as error:
+            raise InputError(f"{name}: {error.stderr.strip()[-300:]}") from None
+        (archive,) = Path(folder).iterdir()
+        data = archive.read_bytes()
+    found = hashlib.sha512(data).hexdigest()
+    if found != package.sha512:
+        raise InputError(
+            f"{name}: expected an archive of SHA-512 {package.sha512[:16]}..., got "
+            f"{found[:16]}..."
+        )
+    return data
+
+
+def unpack(package: Package, archive: bytes, target: Path) -> None:
+    """Writes the package's scripts and its licence.
+
+    Args:
+        package: what is wanted.
+        archive: from `fetch`.
+        target: folder.
+
+    Raises:
+        InputError: if a file is missing.
+    """
+    wanted = set(package.files)
+    inside = f"package/{package.folder}/"
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+        for member in tar.getmembers():
+            name = member.name.removeprefix(inside)
+            script = member.name.startswith(inside) and name.endswith(".js")
+            if member.name.upper() == "PACKAGE/LICENSE":
+                name = "LICENSE"
+            elif not (name in wanted or (script and not package.files)):
+                continue
+            file = tar.extractfile(member)
+            if file is not None:
+                wanted.discard(name)
+                (target / name).parent.mkdir(parents=True, exist_ok=True)
+                (target / name).write_bytes(file.read())
+    if wanted:
+        raise InputError(f"{package.name}: expected {min(wanted)}, found none")
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """Builds the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("output", metavar="OUT", type=Path, help="folder of the page")
+    parser.add_argument("--weights", default="tiny", help="shipped name or file (tiny)")
+    arguments = parser.parse_args(argv)
+    check_target(arguments.output, SOURCE, record="index.html")
+    config, params = load_weights(arguments.weights)
+    archives = {package: fetch(package) for package in PACKAGES}
+    with appearing_at_once(arguments.output, record=RECORD) as place:
+        shutil.copytree(SOURCE, place, dirs_exist_ok=True)
+        for package, archive in archives.items():
+            unpack(package, archive, place / "vendor" / package.name)
+        write_export(
+            place / "network",
+            config,
+            params,
+            format="onnx",
+            name=Path(arguments.weights).stem,
+            half=True,
+        )
+        size = sum(file.stat().st_size for file in place.rglob("*") if file.is_file())
+    print(f"wrote {arguments.output}/: {size / 1e6:.0f} MB")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
