@@ -38,6 +38,7 @@ class Package(NamedTuple):
         sha512: of the archive.
         folder: in the archive, whose files are taken.
         files: names in it; all scripts if empty.
+        source: where its licence, MIT, is to be read.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Package(NamedTuple):
     sha512: str
     folder: str
     files: tuple[str, ...] = ()
+    source: str = ""
 
 
 PACKAGES = (
@@ -60,6 +62,7 @@ PACKAGES = (
             "ort-wasm-simd-threaded.asyncify.mjs",
             "ort-wasm-simd-threaded.asyncify.wasm",
         ),
+        source="github.com/microsoft/onnxruntime",
     ),
     Package(
         "fast-png",
@@ -67,6 +70,7 @@ PACKAGES = (
         "802cac35ab09f0a10c81f75820a77fc130e8e8434ad4f593d1124eecefb4a609"
         "ae1cfc363bab40d56bddc45449a0b7fd57cc856291b4140d58808f17f7b3a124",
         "lib",
+        source="github.com/image-js/fast-png",
     ),
     Package(
         "fflate",
@@ -75,6 +79,7 @@ PACKAGES = (
         "d8d5fdd4db424caf2d0b977581cd4e7c1192ac12e2455e16f9830bfc0ac3ef80",
         "esm",
         ("browser.js",),
+        source="github.com/101arrowz/fflate",
     ),
     Package(
         "iobuffer",
@@ -82,6 +87,7 @@ PACKAGES = (
         "49959891635f8c85c8058483a570d8220b21aad6ce3ec8b896f89ac0011c791d"
         "4aaa4fac1c395c4235abccd42c8a2f34032058d2ae5cf07093363aa8ef8ba5f9",
         "lib",
+        source="github.com/image-js/iobuffer",
     ),
 )
 
@@ -160,6 +166,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         shutil.copytree(SOURCE, place, dirs_exist_ok=True)
         for package, archive in archives.items():
             unpack(package, archive, place / "vendor" / package.name)
+        (place / "vendor" / "LICENSES.md").write_text(
+            "What is here, unchanged, under the MIT licence:\n\n"
+            + "".join(f"- {p.name} {p.version}, https://{p.source}\n" for p in PACKAGES)
+        )
         write_export(
             place / "network",
             config,

@@ -16,7 +16,7 @@ const say = (text, bad = false) => {
 
 async function take(list) {
   const files = [...list].filter((file) => file.size && !file.name.startsWith("."))
-    .filter((file) => /^image\/|^$/.test(file.type))
+    .filter((file) => /^image\//.test(file.type))
     .sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   const stem = (file) => file.name.replace(/\.[^.]*$/, "").toLowerCase();
   const masks = files.filter((file) => stem(file) === "mask");
@@ -108,6 +108,7 @@ function showNormals(normals, mask, width, height, step) {
       const i = y * width + x;
       if (!mask[i]) continue;
       const from = 3 * ((y - (y % step)) * width + x - (x % step));
+      if (!normals[from] && !normals[from + 1] && !normals[from + 2]) continue;
       for (let c = 0; c < 3; c++) {
         picture.data[i * 4 + c] = Math.round((normals[from + c] + 1) * 127.5);
       }
@@ -193,7 +194,11 @@ function normalsPng() {
 }
 
 $("choose").onclick = () => $("files").click();
-$("files").onchange = (event) => take(event.target.files);
+$("files").onchange = ({ target }) => {
+  const files = [...target.files];
+  target.value = ""; // so that the same files can be chosen again
+  take(files);
+};
 document.ondragover = (event) => event.preventDefault();
 document.ondrop = async (event) => {
   event.preventDefault();

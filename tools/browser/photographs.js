@@ -96,7 +96,11 @@ export function requireAlike(files) {
       );
     }
     if (file.top !== first.top) {
-      throw new Refusal(`${file.name}: expected as many bits as ${first.name}`);
+      const bits = (top) => (top === 255 ? 8 : 16);
+      throw new Refusal(
+        `${file.name}: expected ${bits(first.top)} bits as ${first.name}, got ` +
+          `${bits(file.top)}; export all photographs in the same way`,
+      );
     }
   }
 }

@@ -1,5 +1,7 @@
 // Runs the network beside the page: photographs in, normals out, a coarse grid first.
-const CHUNK = 512; // pixels decoded at a time
+// Members of sets (a pixel in one photograph) decoded at a time: what stays in cache
+// takes half the time of four times as many.
+const CHUNK = 2048;
 
 let sessions;
 
@@ -63,12 +65,13 @@ async function estimate({ images, mask, n, width, height, provider }) {
   });
   const size = width * height;
   const normals = new Float32Array(size * 3);
+  const chunk = Math.max(16, Math.floor(CHUNK / n));
   const total = mask.reduce((a, b) => a + b, 0);
   let done = 0;
   let shown = 0;
   for (const [level, places] of passes(mask, width).entries()) {
-    for (let start = 0; start < places.length; start += CHUNK) {
-      const part = places.slice(start, start + CHUNK);
+    for (let start = 0; start < places.length; start += chunk) {
+      const part = places.slice(start, start + chunk);
       const values = await decodePart(encoded, images, part, n, width, size);
       part.forEach((place, i) => normals.set(values.subarray(i * 3, i * 3 + 3), place * 3));
       done += part.length;

@@ -1,0 +1,163 @@
+"""The page that estimates normals in a browser alone gives those of the package."""
+
+import base64
+import contextlib
+import functools
+import http.server
+import os
+import runpy
+import shutil
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_networks import SMALL_OURS, lively_weights
+
+from unips_jax import estimate_photographs, load_weights, read_photographs
+from unips_jax.io.images import read_image, write_image
+from unips_jax.io.normals import read_normals
+from unips_jax.metrics import angular_error_deg
+from unips_jax.weights import save_weights
+
+pytest.importorskip("selenium", reason="selenium is not installed")
+from browser import ABSENT, browser, messages  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLE = ROOT / "unips_jax" / "assets" / "sample" / "obj000.data"
+pytestmark = [
+    pytest.mark.skipif(ABSENT, reason="chromium and its driver are not installed"),
+    pytest.mark.skipif(
+        shutil.which("npm") is None and "CI" not in os.environ,
+        reason="npm is not installed",
+    ),
+]
+build = runpy.run_path(str(ROOT / "tools" / "build_browser_page.py"))["main"]
+# Nothing but the test's own server is found.
+ALONE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+BYTES = """
+const bytes = unips.normalsPng();
+let text = "";
+for (let i = 0; i < bytes.length; i += 8192)
+  text += String.fromCharCode(...bytes.subarray(i, i + 8192));
+return btoa(text);
+"""
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *arguments):
+        pass
+
+
+@contextlib.contextmanager
+def opened(page):
+    """The page in a browser, served as any static host would."""
+    handler = functools.partial(Quiet, directory=page)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        with browser(arguments=(ALONE,)) as driver:
+            address = f"http://127.0.0.1:{server.server_port}/?provider=wasm"
+            driver.get(address)
+            until(driver, "return crossOriginIsolated && !!window.unips", 60)
+            yield driver
+        server.shutdown()
+
+
+def until(driver, condition, seconds):
+    end = time.monotonic() + seconds
+    while not driver.execute_script(condition):
+        status = driver.execute_script("return document.body.innerText")
+        assert time.monotonic() < end, f"{status}\n{messages(driver)}"
+        time.sleep(0.1)
+
+
+def choose(driver, files):
+    driver.execute_script("document.getElementById('status').textContent = ''")
+    driver.find_element("id", "files").send_keys("\n".join(map(str, files)))
+    said = "document.getElementById('status')"
+    until(
+        driver,
+        f"return /^\\d+ photographs|expected/.test({said}.textContent)",
+        60,
+    )
+    return driver.execute_script(f"return {said}.textContent")
+
+
+def normals_by_page(driver, folder, seconds=240):
+    assert "photographs of" in choose(driver, sorted(folder.iterdir()))
+    driver.execute_script("document.getElementById('side').value = '0'")
+    driver.find_element("id", "estimate").click()
+    until(driver, "return !document.getElementById('download').hidden", seconds)
+    path = folder.parent / f"{folder.name}.png"
+    path.write_bytes(base64.b64decode(driver.execute_script(BYTES)))
+    return read_normals(path)
+
+
+def require_same(found, folder, config, params):
+    images, mask, transfer = read_photographs(folder)
+    expected = estimate_photographs(
+        params, images, mask, config=config, transfer=transfer
+    )
+    # Zero is stored as the integer above it.
+    assert np.array_equal(np.linalg.norm(found, axis=-1) > 0.5, mask)
+    assert np.max(angular_error_deg(found[mask], expected[mask])) < 0.1
+
+
+def write_set(folder, dtype):
+    """Photographs with black corners; of 8 bits, as sRGB with a mask."""
+    generator = np.random.default_rng(5)
+    top = np.iinfo(dtype).max
+    for i in range(3):
+        values = generator.uniform(0.2, 1, (21, 26, 3))
+        values[:6, :7] = 0
+        write_image(folder / f"p{i}.png", (values * top).astype(dtype))
+    if dtype == np.uint8:
+        mask = np.zeros((21, 26), np.uint8)
+        mask[2:19, 3:24] = 200
+        write_image(folder / "mask.png", mask)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """The page with a small network: its folder, and the parameters."""
+    work = tmp_path_factory.mktemp("page")
+    params = lively_weights(SMALL_OURS)
+    weights = work / "small.safetensors"
+    save_weights(weights, SMALL_OURS, params, half=True)
+    if build([str(work / "out"), "--weights", str(weights)]) != 0:
+        assert "CI" not in os.environ
+        pytest.skip("npm cannot fetch the page's packages")
+    return work / "out", load_weights(weights)
+
+
+def test_page(small, tmp_path):
+    page, (config, params) = small
+    for name, dtype in (("eight", np.uint8), ("sixteen", np.uint16)):
+        write_set(tmp_path / name, dtype)
+    pixels = np.random.default_rng(1).integers(0, 255, (16, 24, 3)).astype(np.uint8)
+    write_image(tmp_path / "one.jpg", np.kron(pixels, np.ones((4, 4, 1), np.uint8)))
+    with opened(page) as driver:
+        for name in ("eight", "sixteen"):
+            found = normals_by_page(driver, tmp_path / name)
+            require_same(found, tmp_path / name, config, params)
+        # Browsers decode JPEGs nearly as we do.
+        choose(driver, [tmp_path / "one.jpg"])
+        values = driver.execute_script("return [...unips.state.photographs[0].values]")
+        expected = read_image(tmp_path / "one.jpg").reshape(-1).astype(int)
+        assert np.abs(np.array(values) - expected).max() <= 2
+        refused = choose(driver, [tmp_path / "one.jpg", tmp_path / "eight" / "p0.png"])
+        assert "one.jpg: expected" in refused or "p0.png: expected" in refused
+        assert not [text for text in messages(driver) if "Error" in text]
+
+
+@pytest.mark.slow
+def test_page_with_the_shipped_weights(tmp_path):
+    assert build([str(tmp_path / "out")]) == 0
+    folder = tmp_path / "sample"
+    folder.mkdir()
+    for file in SAMPLE.glob("*.png"):
+        shutil.copy(file, folder)
+    with opened(tmp_path / "out") as driver:
+        found = normals_by_page(driver, folder, seconds=1200)
+    require_same(found, folder, *load_weights("tiny"))
