@@ -57,8 +57,7 @@ def opened(page):
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         with browser(arguments=(ALONE,)) as driver:
-            address = f"http://127.0.0.1:{server.server_port}/?provider=wasm"
-            driver.get(address)
+            driver.get(f"http://127.0.0.1:{server.server_port}/")
             until(driver, "return crossOriginIsolated && !!window.unips", 60)
             yield driver
         server.shutdown()

@@ -118,13 +118,6 @@ function showNormals(normals, mask, width, height, step) {
   draw($("normals"), picture);
 }
 
-async function providerOf() {
-  const asked = new URLSearchParams(location.search).get("provider");
-  if (asked) return asked;
-  const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
-  return adapter && !adapter.info?.isFallbackAdapter ? "webgpu" : "wasm";
-}
-
 async function estimate(provider) {
   const [first] = state.photographs;
   const most = Number($("side").value);
@@ -206,9 +199,10 @@ document.ondrop = async (event) => {
   take([...event.dataTransfer.files, ...(await filesOf(entries))].filter((f) => f.size));
 };
 for (const id of ["mask-kind", "threshold", "transfer"]) $(id).oninput = showMask;
-$("estimate").onclick = async () => {
+$("provider").options[1].disabled = !navigator.gpu;
+$("estimate").onclick = () => {
   state.result = null;
-  estimate(await providerOf());
+  estimate($("provider").value);
 };
 $("cancel").onclick = () => {
   stop();
