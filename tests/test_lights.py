@@ -203,11 +203,6 @@ def test_halves_are_halves():
         confidence.normal_spread({}, np.ones((1, 4, 4, 3)), MASK, NORMALS, config=None)
 
 
-def test_a_larger_spread_means_a_larger_error():
-    error = confidence.expected_error(np.linspace(0, 180, 50))
-    assert (np.diff(error) >= 0).all() and error[0] >= 0
-
-
 def test_all_is_everything():
     whole = FolderOptions(all=True, mesh="ply").spelled_out()
     assert whole.mesh == "ply" and not whole.all

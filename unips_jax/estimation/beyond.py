@@ -6,7 +6,6 @@
 --confidence   confidence.exr, confidence.png, unreliable.png
 """
 
-import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ from unips_jax.io.images import write_exr, write_image
 from unips_jax.lighting.lights import Lights
 from unips_jax.models.config import ModelConfig
 
-UNRELIABLE_DEG = 15.0  # expected error above which a pixel is in the mask
+UNRELIABLE_DEG = 15.0  # of spread: a pixel above it is in the mask
 
 
 class Beyond(NamedTuple):
@@ -27,7 +26,7 @@ class Beyond(NamedTuple):
 
     Attributes:
         lights: of the photographs, None unless wanted.
-        confidence: `[H, W]`, expected error in degrees, None unless wanted.
+        confidence: `[H, W]`, the normals' spread in degrees, None unless wanted.
     """
 
     lights: Lights | None = None
@@ -72,10 +71,11 @@ def look_beyond(
             images, normals, mask, guesses=guesses, transfer=transfer
         )
     if options.confidence:
-        from unips_jax.estimation.confidence import expected_error, normal_spread
+        from unips_jax.estimation.confidence import normal_spread
 
-        spread = functools.partial(normal_spread, params, images, mask, normals)
-        confidence = expected_error(spread(**known, progress=progress)) * mask
+        confidence = normal_spread(
+            params, images, mask, normals, **known, progress=progress
+        )
     return Beyond(lights, confidence)
 
 
@@ -125,13 +125,13 @@ def write_beyond(
 
 
 def write_confidence(
-    folder: Path, error: np.ndarray, mask: np.ndarray
+    folder: Path, spread: np.ndarray, mask: np.ndarray
 ) -> dict[str, Any]:
     """Writes `confidence.exr`, `confidence.png` and `unreliable.png`.
 
     Args:
         folder: where; it exists.
-        error: `[H, W]`, expected error in degrees.
+        spread: `[H, W]`, degrees.
         mask: `[H, W]`, bool.
 
     Returns:
@@ -142,17 +142,18 @@ def write_confidence(
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        "comments": "expected error of the normals in degrees; NaN: no surface",
+        "comments": "spread of the normals over halves of the photographs, degrees; "
+        "NaN: no surface",
     }
-    outside = np.where(mask, error, np.nan).astype(np.float32)
+    outside = np.where(mask, spread, np.nan).astype(np.float32)
     write_exr(folder / "confidence.exr", {"Y": outside}, header)
-    levels = np.where(mask, np.clip(np.rint(error * 100), 1, 65535), 0)
+    levels = np.where(mask, np.clip(np.rint(spread * 100), 1, 65535), 0)
     write_image(folder / "confidence.png", levels.astype(np.uint16))
-    bad = mask & (error > UNRELIABLE_DEG)
+    bad = mask & (spread > UNRELIABLE_DEG)
     write_image(folder / "unreliable.png", bad.astype(np.uint8) * 255)
     return {
-        "confidence.png": "expected error of the normals = level / 100 degrees; 0: no "
-        "surface",
-        "unreliable.png": f"255 where above {UNRELIABLE_DEG:g} degrees are expected",
-        "mean_deg": float(error[mask].mean()),
+        "confidence.png": "spread of the normals over halves of the photographs = "
+        "level / 100 degrees; 0: no surface",
+        "unreliable.png": f"255 where the spread is above {UNRELIABLE_DEG:g} degrees",
+        "mean_deg": float(spread[mask].mean()),
     }

@@ -3,8 +3,8 @@
 The photographs are halved twice at random, and each half is estimated alone, every
 second one mirrored (our network takes the mean over the mirrored images anyway, so that
 they differ in the halves alone). The spread is the root mean square angle between these
-normals and the estimate from all photographs. A table, measured on scenes, gives the
-mean error for a spread. It knows nothing of errors that all halves share.
+normals and the estimate from all photographs. What errors go with it: docs/lights.md. It
+knows nothing of errors that all halves share.
 """
 
 from collections.abc import Callable
@@ -17,14 +17,6 @@ from unips_jax.estimation.frame import FrameKind
 from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.io.color import Transfer
 from unips_jax.models.config import ModelConfig
-
-# Degrees of spread and of mean error, on 16 scenes by the shipped weights (hash
-# 87dae457): `python tools/lights.py --scenes 16 --seeds 77 --confidence`. Spreads above
-# the last, a pixel in 200, have its error.
-CALIBRATION = (
-    *((0.0, 7.4), (5.0, 7.5), (7.0, 8.1), (9.0, 8.6), (11.8, 9.4)),
-    *((17.1, 13.0), (23.9, 18.6), (37.7, 31.3)),
-)
 
 
 def normal_spread(
@@ -90,16 +82,6 @@ def normal_spread(
         cosine = (found * normals * [step, 1, 1]).sum(-1)
         total += np.square(np.arccos(np.clip(cosine, -1, 1))) / len(halves)
     return np.where(mask, np.degrees(np.sqrt(total)), 0).astype(np.float32)
-
-
-def expected_error(spread: np.ndarray) -> np.ndarray:
-    """The mean error of pixels of a spread, both in degrees.
-
-    Args:
-        spread: from `normal_spread`, of any shape.
-    """
-    known, error = np.array(CALIBRATION).T
-    return np.interp(spread, known, error).astype(np.float32)
 
 
 def _halves(count: int, splits: int, seed: int) -> list[np.ndarray]:

@@ -45,8 +45,8 @@ class FolderOptions:
         lights: also write each photograph's light, lights.json and lights.lp.
         base_color: also write base_color.exr and base_color.png, the albedo.
         rti: also write relight.ptm, a polynomial texture map.
-        confidence: also write the normals' expected error, confidence.exr and .png, and
-            unreliable.png, a mask; triples the time.
+        confidence: also write how far normals spread over halves of the photographs,
+            confidence.exr and .png, and unreliable.png, a mask; triples the time.
         all: write all of these, the depth and a mesh (GLB).
         view: also write view.html, to look at in a browser; see `unips view`.
         focal: focal length of the depth's camera in pixels, or exif, of the first
