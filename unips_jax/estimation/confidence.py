@@ -3,8 +3,8 @@
 The photographs are halved twice at random, and each half is estimated alone, every
 second one mirrored (our network takes the mean over the mirrored images anyway, so that
 they differ in the halves alone). The spread is the root mean square angle between these
-normals and the estimate from all photographs. It knows nothing of errors that all halves
-share. What errors go with it: docs/lights.md.
+normals and the estimate from all photographs. It knows nothing of errors that all
+halves share. What errors go with it: docs/lights.md.
 """
 
 from collections.abc import Callable
