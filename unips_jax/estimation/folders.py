@@ -165,8 +165,14 @@ def estimate_folder(
     Raises:
         InputError: if something cannot be read, used or written.
     """
-    options = (options or FolderOptions()).spelled_out()
+    has_maps = network.config.has_maps
+    options = (options or FolderOptions()).spelled_out(materials=has_maps)
     options.check()
+    if options.materials and not has_maps:
+        raise InputError(
+            f"--materials: expected weights that tell them, got "
+            f"{network.record['name']}; take tiny, or leave --materials out"
+        )
     check_target(target, folder)
     if is_container(folder):
         frames = options.max_images or KEYFRAMES
@@ -232,7 +238,10 @@ def estimate_selection(
     Raises:
         InputError: if a file cannot be read or used, or a normal is not finite.
     """
-    from unips_jax.estimation.streaming import estimate_photographs
+    from unips_jax.estimation.streaming import (
+        estimate_photograph_maps,
+        estimate_photographs,
+    )
 
     if verbose:
         print_selection(selection)
@@ -250,8 +259,9 @@ def estimate_selection(
         print_record(record)
         for warning in warnings:
             print(f"warning: {selection.folder}: {warning}", file=sys.stderr)
-    estimate = functools.partial(
-        estimate_photographs,
+    with_maps = options.materials
+    estimate: Any = functools.partial(
+        estimate_photograph_maps if with_maps else estimate_photographs,
         network.params,
         images,
         mask,
@@ -261,9 +271,11 @@ def estimate_selection(
     )
     if verbose:
         with progress("estimating normals") as report:
-            normals = estimate(progress=report)
+            found = estimate(progress=report)
     else:
-        normals = estimate(progress=on_progress)
+        found = estimate(progress=on_progress)
+    maps = found if with_maps else None
+    normals = found.normals if with_maps else found
     bad = np.count_nonzero(~np.isfinite(normals).all(axis=-1))
     if bad:
         raise InputError(
@@ -274,6 +286,7 @@ def estimate_selection(
     look = functools.partial(
         look_beyond,
         *(network.config, network.params, images, mask, normals, transfer, options),
+        maps,
     )
     if verbose and options.confidence:
         with progress("estimating confidence") as report:
