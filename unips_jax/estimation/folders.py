@@ -259,9 +259,8 @@ def estimate_selection(
         print_record(record)
         for warning in warnings:
             print(f"warning: {selection.folder}: {warning}", file=sys.stderr)
-    with_maps = options.materials
     estimate: Any = functools.partial(
-        estimate_photograph_maps if with_maps else estimate_photographs,
+        estimate_photograph_maps if options.materials else estimate_photographs,
         network.params,
         images,
         mask,
@@ -274,8 +273,8 @@ def estimate_selection(
             found = estimate(progress=report)
     else:
         found = estimate(progress=on_progress)
-    maps = found if with_maps else None
-    normals = found.normals if with_maps else found
+    maps = found if options.materials else None
+    normals = found if maps is None else maps.normals
     bad = np.count_nonzero(~np.isfinite(normals).all(axis=-1))
     if bad:
         raise InputError(
