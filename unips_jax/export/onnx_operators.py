@@ -10,12 +10,18 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jax.lax import GatherScatterMode
+
+from unips_jax.export.onnx_parts import (
+    cut,
+    gather,
+    pad,
+    result_of,
+    reverse,
+    whole_inputs,
+)
 
 if TYPE_CHECKING:
     from unips_jax.export.onnx_graph import Graph, Tensor, Value
-
-_LEAST = -(2**31)
 
 # Primitives that call a function, and the parameter that holds it.
 CALLS = {
@@ -27,17 +33,6 @@ CALLS = {
     "custom_jvp_call": "call_jaxpr",
     "custom_vjp_call": "call_jaxpr",
 }
-
-
-def _aval(equation: Any) -> tuple[tuple[Any, ...], np.dtype]:
-    aval = equation.outvars[0].aval
-    return tuple(aval.shape), np.dtype(aval.dtype)
-
-
-def _whole(graph: "Graph", equation: Any, inputs: list["Value"]) -> list["Value"]:
-    """The inputs, with the broadcasts that were put off."""
-    avals = [atom.aval for atom in equation.invars]
-    return [graph.whole(x, a.shape) for x, a in zip(inputs, avals, strict=True)]
 
 
 def _broadcast(inputs: Sequence["Value"]) -> tuple[Any, ...]:
@@ -56,7 +51,7 @@ def _elements(*kinds: str) -> Callable[..., "Value"]:
     """An operator on elements, followed by others on its result."""
 
     def add(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-        shape, (_, dtype) = _broadcast(inputs), _aval(equation)
+        shape, (_, dtype) = _broadcast(inputs), result_of(equation)
         first, *rest = kinds
         value = graph.node(first, inputs, (shape, dtype))
         for kind in rest:
@@ -71,7 +66,7 @@ def _same(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
 
 
 def _convert(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    return graph.cast(inputs[0], _aval(equation)[1])
+    return graph.cast(inputs[0], result_of(equation)[1])
 
 
 def _square(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
@@ -111,8 +106,8 @@ def _clamp(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
 
 
 def _reshape(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    (x,) = _whole(graph, equation, inputs)
-    return graph.reshape(x, _aval(equation)[0])
+    (x,) = whole_inputs(graph, equation, inputs)
+    return graph.reshape(x, result_of(equation)[0])
 
 
 def _squeeze(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
@@ -140,47 +135,20 @@ def _broadcast_in_dim(graph: "Graph", equation: Any, inputs: list["Value"]) -> "
     return graph.reshape(x, shape)
 
 
-def _reverse(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    (x,), axes = inputs, equation.params["dimensions"]
-    count = len(axes)
-    bounds = [np.full(count, -1), np.full(count, _LEAST), axes, np.full(count, -1)]
-    return graph.node(
-        "Slice", [x, *(np.asarray(b, np.int64) for b in bounds)], (x.shape, x.dtype)
-    )
-
-
-def _slice(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    (x,), params = _whole(graph, equation, inputs), equation.params
-    axes = range(len(x.shape))
-    steps = params["strides"] or [1] * len(axes)
-    bounds = (graph.dims(params["start_indices"]), graph.dims(params["limit_indices"]))
-    more = [np.array(values, np.int64) for values in (axes, steps)]
-    return graph.node("Slice", [x, *bounds, *more], _aval(equation))
-
-
-def _pad(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    x, fill = _whole(graph, equation, inputs)
-    before, after, within = zip(*equation.params["padding_config"], strict=True)
-    if any(within):
-        raise NotImplementedError("no ONNX operator pads between elements")
-    pads = graph.dims([*before, *after])
-    return graph.node("Pad", [x, pads, fill], _aval(equation))
-
-
 def _concatenate(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    inputs = _whole(graph, equation, inputs)
+    inputs = whole_inputs(graph, equation, inputs)
     axis = equation.params["dimension"]
-    return graph.node("Concat", inputs, _aval(equation), axis=axis)
+    return graph.node("Concat", inputs, result_of(equation), axis=axis)
 
 
 def _stack(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    inputs, axis = _whole(graph, equation, inputs), equation.params["axis"]
+    inputs, axis = whole_inputs(graph, equation, inputs), equation.params["axis"]
     parts = [graph.reshape(x, (*x.shape[:axis], 1, *x.shape[axis:])) for x in inputs]
-    return graph.node("Concat", parts, _aval(equation), axis=axis)
+    return graph.node("Concat", parts, result_of(equation), axis=axis)
 
 
 def _split(graph: "Graph", equation: Any, inputs: list["Value"]) -> list["Tensor"]:
-    (x,), params = _whole(graph, equation, inputs), equation.params
+    (x,), params = whole_inputs(graph, equation, inputs), equation.params
     results = [(v.aval.shape, v.aval.dtype) for v in equation.outvars]
     sizes = np.array(params["sizes"], np.int64)
     return graph.nodes("Split", [x, sizes], results, axis=params["axis"])
@@ -192,17 +160,20 @@ def _iota(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
     zero, one = np.array(0, np.int64), np.array(1, np.int64)
     numbers = graph.node("Range", [zero, size, one], ((shape[axis],), np.int64))
     aligned = [d if i == axis else 1 for i, d in enumerate(shape)]
-    return graph.cast(graph.reshape(numbers, aligned), _aval(equation)[1])
+    return graph.cast(graph.reshape(numbers, aligned), result_of(equation)[1])
 
 
 def _dim_as_value(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
     size = graph.reshape(graph.dim(equation.params["dim"]), ())
-    return graph.cast(size, _aval(equation)[1])
+    return graph.cast(size, result_of(equation)[1])
 
 
 def _reduction(kind: str) -> Callable[..., "Value"]:
     def add(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-        (x,), (shape, dtype) = _whole(graph, equation, inputs), _aval(equation)
+        (x,), (shape, dtype) = (
+            whole_inputs(graph, equation, inputs),
+            result_of(equation),
+        )
         logical = x.dtype == bool  # `kind` is a maximum or minimum then
         x = graph.cast(x, np.int32) if logical else x
         axes = np.array(equation.params["axes"], np.int64)
@@ -213,7 +184,7 @@ def _reduction(kind: str) -> Callable[..., "Value"]:
 
 
 def _argmax(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    (x,), (shape, dtype) = _whole(graph, equation, inputs), _aval(equation)
+    (x,), (shape, dtype) = whole_inputs(graph, equation, inputs), result_of(equation)
     x = graph.cast(x, np.int32) if x.dtype == bool else x
     (axis,) = equation.params["axes"]
     value = graph.node("ArgMax", [x], (shape, np.int64), axis=axis, keepdims=0)
@@ -225,9 +196,9 @@ def _product(dims: Sequence[Any]) -> Any:
 
 
 def _dot_general(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    left, right = _whole(graph, equation, inputs)
+    left, right = whole_inputs(graph, equation, inputs)
     contracted, batch = equation.params["dimension_numbers"]
-    shape, dtype = _aval(equation)
+    shape, dtype = result_of(equation)
     free = [
         [i for i in range(len(x.shape)) if i not in c and i not in b]
         for x, c, b in zip((left, right), contracted, batch, strict=True)
@@ -249,8 +220,8 @@ def _dot_general(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value
 
 
 def _convolution(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    x, kernel = _whole(graph, equation, inputs)
-    params, (shape, dtype) = equation.params, _aval(equation)
+    x, kernel = whole_inputs(graph, equation, inputs)
+    params, (shape, dtype) = equation.params, result_of(equation)
     numbers = params["dimension_numbers"]
     if any(d != 1 for d in params["lhs_dilation"]):
         raise NotImplementedError("no ONNX operator is known for dilated inputs")
@@ -270,86 +241,6 @@ def _convolution(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value
     return graph.transpose(value, np.argsort(numbers.out_spec).tolist())
 
 
-def _gather(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    """Whole slices at indices along an axis, as `jnp.take` and `x[index]` ask for.
-
-    Or a grid of known rows and columns, as of `x[:, ::2, 1::2]`.
-    """
-    x, index = _whole(graph, equation, inputs)
-    params, (shape, dtype) = equation.params, _aval(equation)
-    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
-    if isinstance(index, np.ndarray) and index.ndim == 1:
-        return _one_slice(graph, x, index, equation)
-    places, axes = tuple(index.shape[:-1]), numbers.start_index_map
-    new = range(axes[0], axes[0] + len(places))
-    kept = [i for i in range(len(shape)) if i not in new]
-    others = [i for i in range(len(x.shape)) if i not in axes]
-    if (
-        numbers.collapsed_slice_dims != axes
-        or numbers.operand_batching_dims
-        or list(numbers.offset_dims) != kept
-        or not all(sizes[i] == x.shape[i] for i in others)
-    ):
-        raise NotImplementedError(f"no ONNX operator is known for: {equation}")
-    known = params["mode"] == GatherScatterMode.PROMISE_IN_BOUNDS
-    if len(axes) > 1:
-        lines = _lines(index)
-        if lines is None or not known or tuple(axes) != tuple(new):
-            raise NotImplementedError(f"no ONNX operator is known for: {equation}")
-        for axis, line in zip(axes, lines, strict=True):
-            cut = (*x.shape[:axis], len(line), *x.shape[axis + 1 :])
-            x = graph.node("Gather", [x, line], (cut, dtype), axis=axis)
-        return x
-    axis = axes[0]
-    index = graph.cast(graph.reshape(index, places), np.int64)
-    if known:
-        return graph.node("Gather", [x, index], (shape, dtype), axis=axis)
-    last = graph.node(
-        "Sub", [graph.dim(x.shape[axis]), np.array(1, np.int64)], ((1,), np.int64)
-    )
-    inside = graph.node("Max", [index, np.array(0, np.int64)], (places, np.int64))
-    inside = graph.node("Min", [inside, last], (places, np.int64))
-    value = graph.node("Gather", [x, inside], (shape, dtype), axis=axis)
-    if params["mode"] == GatherScatterMode.CLIP:
-        return value
-    hit = graph.node("Equal", [index, inside], (places, bool))
-    aligned = [d if i not in kept else 1 for i, d in enumerate(shape)]
-    fill = params["fill_value"]
-    if fill is None:
-        fill = np.nan if np.issubdtype(dtype, np.floating) else 0
-    filling = [graph.reshape(hit, aligned), value, np.asarray(fill, dtype)]
-    return graph.node("Where", filling, (shape, dtype))
-
-
-def _lines(index: "Value") -> list[np.ndarray] | None:
-    """The rows, columns and so on of a known grid of places `[..., axes]`, if it is."""
-    count = index.shape[-1]
-    if not isinstance(index, np.ndarray) or index.ndim != count + 1:
-        return None
-    lines = []
-    for axis in range(count):
-        values = np.moveaxis(index[..., axis], axis, 0).reshape(index.shape[axis], -1)
-        if (values != values[:, :1]).any():
-            return None
-        lines.append(values[:, 0].astype(np.int64))
-    return lines
-
-
-def _one_slice(graph: "Graph", x: "Value", index: np.ndarray, equation: Any) -> "Value":
-    """What `x[3]` becomes where a dimension is a symbol; the place is known."""
-    params, (shape, dtype) = equation.params, _aval(equation)
-    axes, sizes = params["dimension_numbers"].start_index_map, params["slice_sizes"]
-    starts = [int(i) for i in index]
-    cut = list(x.shape)
-    for axis, start in zip(axes, starts, strict=True):
-        if isinstance(x.shape[axis], int) and start + sizes[axis] > x.shape[axis]:
-            raise NotImplementedError(f"no ONNX operator is known for: {equation}")
-        cut[axis] = sizes[axis]
-    ends = graph.dims([i + sizes[axis] for axis, i in zip(axes, starts, strict=True)])
-    bounds = [np.array(starts, np.int64), ends, np.array(axes, np.int64)]
-    return graph.reshape(graph.node("Slice", [x, *bounds], (cut, dtype)), shape)
-
-
 OPERATORS: dict[str, Callable[..., Any]] = {
     **{
         name: _elements(*kinds.split())
@@ -367,11 +258,11 @@ OPERATORS: dict[str, Callable[..., Any]] = {
     **dict.fromkeys(("stop_gradient", "copy", "copy_p", "optimization_barrier"), _same),
     **{"convert_element_type": _convert, "square": _square, "rem": _remainder},
     **{"integer_pow": _integer_pow, "is_finite": _is_finite, "select_n": _select},
-    **{"clamp": _clamp, "reshape": _reshape, "squeeze": _squeeze, "rev": _reverse},
-    **{"expand_dims": _expand_dims, "transpose": _transpose, "slice": _slice},
-    **{"broadcast_in_dim": _broadcast_in_dim, "pad": _pad, "split": _split},
+    **{"clamp": _clamp, "reshape": _reshape, "squeeze": _squeeze, "rev": reverse},
+    **{"expand_dims": _expand_dims, "transpose": _transpose, "slice": cut},
+    **{"broadcast_in_dim": _broadcast_in_dim, "pad": pad, "split": _split},
     **{"concatenate": _concatenate, "stack": _stack, "iota": _iota},
-    **{"dim_as_value": _dim_as_value, "argmax": _argmax, "gather": _gather},
+    **{"dim_as_value": _dim_as_value, "argmax": _argmax, "gather": gather},
     **{"reduce_sum": _reduction("ReduceSum"), "reduce_max": _reduction("ReduceMax")},
     **{"reduce_min": _reduction("ReduceMin"), "reduce_or": _reduction("ReduceMax")},
     **{"reduce_and": _reduction("ReduceMin"), "dot_general": _dot_general},
