@@ -29,7 +29,8 @@ class Options:
     """Options of `unips check`.
 
     Attributes:
-        folders: photographs of an object.
+        folders: photographs of an object; or a file that holds them, a video or a TIFF
+            of several pages.
         mask: an image that is bright on the object, in place of the folder's mask;
             auto: the folder's, else a suggested one; none: the whole image.
         include: patterns such as "img_*.png": the images they fit are the photographs.

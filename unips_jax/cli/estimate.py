@@ -34,7 +34,8 @@ class Options:
     """Options of `unips estimate`.
 
     Attributes:
-        folders: photographs of an object.
+        folders: photographs of an object; or a file that holds them, a video or a TIFF
+            of several pages.
         output: folder for the results.
         weights: shipped weights or a .safetensors file.
         random_weights: an untrained network, for tests: the normals mean nothing.
