@@ -13,6 +13,7 @@ from test_estimate import calls, network_calls, run  # noqa: F401
 from test_exif import with_orientation
 
 from unips_jax.capture.check import check_capture
+from unips_jax.capture.folder import check_photographs
 from unips_jax.capture.light import rough_lights
 from unips_jax.capture.motion import find_motion
 from unips_jax.capture.registration import register
@@ -50,7 +51,8 @@ def test_real_photographs_and_the_sample_pass(shared_dir):
         if folder == SAMPLE:
             folder = folder / "obj000.data"
         selection = select(folder)
-        assert check_capture(read_capture(selection), selection.names) == []
+        report = check_photographs(selection)
+        assert report.findings == () and report.capture is not None
 
 
 @pytest.mark.parametrize("known", [True, False])

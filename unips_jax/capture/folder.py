@@ -47,6 +47,7 @@ class Report:
             "width": width,
             "height": height,
             "dtype": str(self.capture.images.dtype),
+            "notes": [*self.capture.notes],
             "transfer": self.capture.transfer,
             "transfer_rule": self.capture.transfer_rule,
             "mask": None if mask_file is None else str(mask_file),
@@ -91,7 +92,6 @@ def check_photographs(
     if capture is not None:
         if look_for_mask and selection.mask_file is None:
             capture = with_suggested_mask(capture)
-        found += [Finding("left out", note) for note in capture.notes]
         found += check_capture(capture, taken.names)
     return Report(selection, capture, tuple(found))
 

@@ -101,6 +101,8 @@ def _print(report: Report) -> None:
         size = f"{record['width']} x {record['height']}"
         print_line("mask", f"{what}: {record['mask_pixels']} of {size} pixels")
         print_line("transfer", f"{record['transfer']} ({record['transfer_rule']})")
+        for note in record["notes"]:
+            print_line("note", note)
     for finding in report.findings:
         print_line("look", finding.text)
     if not report.findings:
