@@ -20,12 +20,13 @@ from unips_jax.io.color import Transfer, as_linear, srgb_encode
 from unips_jax.io.images import write_exr, write_image
 from unips_jax.lighting.lights import (
     Lights,
+    Scales,
     albedo_scales,
     irradiance,
     robust_albedo,
+    strips,
 )
 
-_ROWS = 64
 _SAMPLE = 20000
 _BRIGHT = 0.8  # base colour that the brightest percent is brought to
 
@@ -159,14 +160,13 @@ def base_color(
     scales = albedo_scales(
         as_linear(images[:, *some], transfer), irradiance(lights, normals[some])
     )
-    for top in range(0, len(mask), _ROWS):
-        inside = mask[top : top + _ROWS]
+    scales = Scales(*(values.astype(np.float32) for values in scales))
+    for part in strips(images):
+        inside = mask[part]
         if inside.any():
-            pixels = as_linear(images[:, top : top + _ROWS][:, inside], transfer)
-            light = irradiance(lights, normals[top : top + _ROWS][inside])
-            color[top : top + _ROWS][inside] = robust_albedo(
-                pixels, light, scales=scales
-            )
+            pixels = as_linear(images[:, part][:, inside], transfer)
+            light = irradiance(lights, normals[part][inside]).astype(np.float32)
+            color[part][inside] = robust_albedo(pixels, light, scales=scales)
     if mask.any():
         color *= _BRIGHT / max(float(np.quantile(color[mask].max(-1), 0.99)), 1e-12)
     return np.clip(color, 0, 1)

@@ -13,6 +13,7 @@ exposure, the lights' common colour and the albedo have in common cannot be told
 lights are relative to the photographs' mean.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
 
 _SAMPLE = 8000  # pixels
 _ROUNDS = 8
+_STRIP = 2**20  # pixels of all photographs together
 _DIRECTION_ROUNDS = 60
 _USUAL = 0.5  # irradiance, where what faces the light has about 1
 _FADE = 0.08  # irradiance: what is darker says little
@@ -131,7 +133,7 @@ def robust_albedo(
     """Albedo that explains pixels best, but for shadows and highlights.
 
     Args:
-        pixels: `[N, P, 3]`.
+        pixels: `[N, P, 3]`, float32 or float64.
         light: `[N, P, 3]`, irradiance (over pi: radiance of a white matt surface).
         scales: of more pixels than these, so that parts of an image fit together;
             None: of these.
@@ -148,6 +150,13 @@ def robust_albedo(
         weight = known * _spared(pixels, light, albedo, size)
         albedo = _quotient(weight, pixels, light, typical)
     return albedo
+
+
+def strips(images: np.ndarray) -> Iterator[slice]:
+    """Rows of photographs `[N, H, W, ...]`, as many at a time as memory should hold."""
+    count, height, width = images.shape[:3]
+    step = max(1, _STRIP // (count * width))
+    return (slice(top, top + step) for top in range(0, height, step))
 
 
 def albedo_scales(pixels: np.ndarray, light: np.ndarray) -> Scales:

@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
-from unips_jax.lighting.lights import Lights
+from unips_jax.lighting.lights import Lights, irradiance, strips
 
 _WHITE = 0.95  # what the brightest half a percent is brought to, linear
 _RIDGE = 1e-3  # for photographs that are few, or whose lights are alike
-_ROWS = 64
 
 
 def basis(directions: np.ndarray) -> np.ndarray:
@@ -66,8 +65,6 @@ def equalised(
 
 def facing(lights: Lights) -> np.ndarray:
     """Irradiance of each photograph's light on what faces it, `[N, 3]`, above 0."""
-    from unips_jax.lighting.lights import irradiance
-
     count = len(lights.directions)
     every = irradiance(lights, lights.directions)  # [N, N, 3]
     return np.maximum(every[np.arange(count), np.arange(count)], 1e-3)
@@ -108,11 +105,9 @@ def write_ptm(
     stored = np.zeros((3, height, width, 6), np.uint8)
     stored[:] = bias.astype(np.uint8)  # a polynomial of 0
     error, terms = 0.0, basis(lights.directions)
-    for top in range(0, height, _ROWS):
-        inside = mask[top : top + _ROWS]
-        values = equalised(
-            images[:, top : top + _ROWS][:, inside], transfer, lights, white
-        )
+    for part in strips(images):
+        inside = mask[part]
+        values = equalised(images[:, part][:, inside], transfer, lights, white)
         levels = _coefficients(values, matrix) / scale + bias  # [P, 3, 6]
         levels = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
         shown = ((levels - bias) * scale) @ terms.T / 255  # [P, 3, N]
@@ -120,7 +115,7 @@ def write_ptm(
             np.square(np.clip(shown, 0, 1) - values.transpose(1, 2, 0)).sum()
         )
         for color in range(3):
-            stored[color, top : top + _ROWS][inside] = levels[:, color]
+            stored[color, part][inside] = levels[:, color]
     header = (
         f"PTM_1.2\nPTM_FORMAT_RGB\n{width}\n{height}\n"
         f"{' '.join(f'{x:.8g}' for x in scale)}\n{' '.join(str(x) for x in bias)}\n"
