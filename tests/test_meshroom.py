@@ -147,8 +147,13 @@ def test_failures_stop_or_are_skipped(node, poses):
     broken = poses / "set" / "object0.data"
     for path in broken.iterdir():
         path.write_bytes(b"no image")
+    mask = np.zeros((16, 16), np.uint8)
+    mask[4:12, 4:12] = 255
+    for index in range(5):
+        cv2.imwrite(str(poses / f"object{index}.png"), mask)
     given = {
         "input": str(poses / "set"),
+        "maskFolder": str(poses),
         "weights": str(poses / "small.safetensors"),
         "outputFormat": "png",
     }
