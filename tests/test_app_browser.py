@@ -38,7 +38,7 @@ pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent
 SAMPLE = Path(__file__).parents[1] / "unips_jax/assets/sample/obj000.data"
 SCREENSHOTS = os.environ.get("UNIPS_SCREENSHOTS")
 SIDE = 192 if SCREENSHOTS else 40
-PATIENCE_S = 300  # several processes may share two cores
+PATIENCE_S = 500  # several processes may share two cores
 
 
 @pytest.fixture(scope="module")

@@ -66,22 +66,19 @@ def inspect(
     Raises:
         InputError: if they cannot be used.
     """
-    from unips_jax.capture.check import check_capture
-    from unips_jax.capture.masks import TRUSTED, mask_picture
-    from unips_jax.capture.prepare import with_suggested_mask
-    from unips_jax.io.photographs import read_capture
+    from unips_jax.capture.masks import mask_picture
+    from unips_jax.estimation.options import FolderOptions
+    from unips_jax.estimation.reading import chosen_photographs, read_and_look
+    from unips_jax.io.record import HashingReader
 
-    selection = select(folder)
-    capture = read_capture(
-        selection,
-        max_pixels=max_pixels,
-        track=lambda files: _tracked(list(files), report),
-    )
-    mask_from = "file"
+    report("reading", 0.0)
+    options = FolderOptions(max_pixels=max_pixels)
+    selection = chosen_photographs(folder, options)
+    reader = HashingReader(max_pixels)
+    looked = read_and_look(selection, options, reader, verbose=False)
+    capture, mask_from = looked.capture, "file"
     if selection.mask_file is None:
-        capture = with_suggested_mask(capture)
-        trusted = (capture.mask_contrast or 0) >= TRUSTED
-        mask_from = "suggested" if trusted else "none"
+        mask_from = "suggested" if looked.facts["mask_suggested"] else "none"
     images, mask = capture.images, capture.mask
     for index, image in enumerate(images):
         picture = _small_picture(image, capture.transfer, _THUMBNAIL)
@@ -101,7 +98,7 @@ def inspect(
         "focal": capture.focal,
         "mask": mask_from,
         "contrast": capture.mask_contrast,
-        "warnings": [f.text for f in check_capture(capture, selection.names)],
+        "warnings": looked.warnings,
     }
 
 
@@ -187,12 +184,6 @@ def _full_mask(drawn: Path, photograph: Path, max_pixels: int) -> np.ndarray:
     if not (soft > 127).any():
         raise InputError("the mask is empty: draw over the object, or take it all")
     return np.where(soft > 127, 255, 0).astype(np.uint8)
-
-
-def _tracked(files: list[Any], report: Report) -> Any:
-    for index, file in enumerate(files):
-        report("reading", index / len(files))
-        yield file
 
 
 def _small_picture(image: np.ndarray, transfer: Transfer, side: int) -> np.ndarray:
