@@ -54,13 +54,13 @@ def test_chunked_equals_whole(params, monkeypatch):
     images, mask = photographs(n=5)
     monkeypatch.setattr(pure, "CHUNK_TOKENS", 10**6)
     monkeypatch.setattr(pure, "CHUNK_IMAGES", 10)
-    pure._estimate_normals.clear_cache()
+    pure._estimate.clear_cache()
     whole = estimate_normals(params, images, mask, config=SMALL)
     monkeypatch.setattr(pure, "CHUNK_TOKENS", 70)
     monkeypatch.setattr(pure, "CHUNK_IMAGES", 2)
-    pure._estimate_normals.clear_cache()
+    pure._estimate.clear_cache()
     chunked = estimate_normals(params, images, mask, config=SMALL)
-    pure._estimate_normals.clear_cache()
+    pure._estimate.clear_cache()
     np.testing.assert_allclose(chunked, whole, atol=1e-5)
 
 
@@ -295,12 +295,12 @@ def test_values_that_are_not_finite_show(params, value):
 
 
 def test_compiles_once_per_shape(params):
-    pure._estimate_normals.clear_cache()
+    pure._estimate.clear_cache()
     for seed in range(3):
         images, mask = photographs()
         mask = mask & (np.random.default_rng(seed).random(mask.shape) < 0.8)
         estimate_normals(params, images * (1 + seed), mask, config=SMALL)
-    assert pure._estimate_normals._cache_size() == 1
+    assert pure._estimate._cache_size() == 1
 
 
 @pytest.mark.parametrize(
