@@ -203,11 +203,14 @@ def _estimate(
     with tempfile.TemporaryDirectory(dir=output, prefix=f".{pose}-") as scratch:
         folder = Path(scratch) / pose
         folder.mkdir()
+        links = {}
         for number, path in enumerate(photographs):
             if not path.is_file():
                 raise RuntimeError(f"{path}: no such file")
             # Views of different folders may have the same name.
-            _link(path, folder / f"{number:04}_{path.name}")
+            link = folder / f"{number:04}_{path.name}"
+            _link(path, link)
+            links[str(link)] = str(path)
         command = [*shlex.split(options["executable"]), "estimate", str(folder)]
         command += ["-o", str(Path(scratch) / "out"), "--weights", options["weights"]]
         command += ["--normal-map", options["convention"]]
@@ -219,7 +222,13 @@ def _estimate(
             command += ["--mask", str(mask)]
         if options["outputFormat"] != "png":
             command.append("--exr")
-        _run(command)
+        try:
+            _run(command)
+        except RuntimeError as error:
+            text = str(error)
+            for link, path in links.items():
+                text = text.replace(link, path)
+            raise RuntimeError(text) from None
         suffixes = {"both": ("png", "exr")}.get(
             options["outputFormat"], (options["outputFormat"],)
         )
