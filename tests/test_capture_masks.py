@@ -177,3 +177,12 @@ def test_real_photographs(shared_dir, name):
         assert mask is None and figure < 0.4
     else:
         assert overlap(mask, capture.mask) > REAL[name]
+
+
+@pytest.mark.parametrize("size", [1, 2, 8, 16])
+def test_tiny_photographs_have_no_mask_or_one_of_their_size(size):
+    images = np.zeros((2, size, size, 3), np.uint8)
+    images[:, size // 4 : size - size // 4, size // 4 : size - size // 4] = 200
+    found = suggest_mask(images)
+    assert 0 <= found.figure <= 1
+    assert found.mask is None or found.mask.shape == (size, size)

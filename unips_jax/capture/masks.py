@@ -238,14 +238,14 @@ def _contrast(distance: np.ndarray, mask: np.ndarray) -> float:
     outer = (cv2.dilate(within, _disc(3)) - dilated).astype(np.float32)
     outline = (within > eroded) & ~_frame(mask.shape)
     border = mask[_frame(mask.shape)].mean()
-    if not outline.any() or border > 0.5:
+    far = cv2.dilate(within, _disc(4)) == 0
+    if not outline.any() or border > 0.5 or not far.any():
         return 0.0
     more = _nearby(distance, inner, 2)[outline]
     less = _nearby(distance, outer, 2)[outline]
     edge = np.percentile((more - less) / (more + less + 1e-6), 25)
-    far = cv2.dilate(within, _disc(4)) == 0
     around = 1 - np.percentile(distance[far], 98) / np.median(distance[mask])
-    return float(np.clip(edge, 0, 1) * np.clip(around, 0, 1)) if far.any() else 0.0
+    return float(np.clip(edge, 0, 1) * np.clip(around, 0, 1))
 
 
 def _enlarged(
