@@ -16,7 +16,6 @@ from unips_jax import (
     load_weights,
 )
 from unips_jax.models.heads import Maps
-from unips_jax.scenes import render_scene
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.training import loss as losses
 from unips_jax.training import map_scores
@@ -148,17 +147,6 @@ def test_heads_send_no_gradient_to_the_normals(params):
         own,
     )
     assert not any(np.any(x) for x in jax.tree.leaves(only))
-
-
-def test_scenes_know_their_material():
-    scene = render_scene(
-        jax.random.key(3), size=32, num_images=1, config=SceneConfig(rim_rate=1.0)
-    )
-    inside = np.asarray(scene.mask)
-    assert np.all(scene.base_color[inside] > 0)
-    for name in ("base_color", "roughness", "metallic"):
-        values = np.asarray(getattr(scene, name))
-        assert values.min() >= 0 and values.max() <= 1 and not np.any(values[~inside])
 
 
 def test_heads_begin_on_weights_that_have_none(tmp_path):

@@ -29,6 +29,9 @@ def scene():
         light_directions=np.tile(np.float32([0, 0, 1]), (2, 1)),
         light_means=np.tile(np.float32([0, 0, 1]), (2, 1)),
         light_intensities=np.ones((2, 3), np.float32),
+        base_color=np.full((8, 12, 3), 0.5, np.float32),
+        roughness=np.full((8, 12), 0.5, np.float32),
+        metallic=np.zeros((8, 12), np.float32),
     )
 
 

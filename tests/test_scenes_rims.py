@@ -115,6 +115,13 @@ def test_scenes_know_the_truth_below_their_masks():
     np.testing.assert_allclose(rimmed.normals[both], usual.normals[both], atol=1e-4)
     assert (rimmed.mask & ~usual.mask).any((1, 2)).sum() >= 3
     assert (usual.mask & ~rimmed.mask).any((1, 2)).sum() >= 2
+    np.testing.assert_allclose(rimmed.base_color[both], usual.base_color[both])
+    for scene in (usual, rimmed):
+        assert np.all(scene.base_color[scene.mask] > 0)
+        for values in (scene.base_color, scene.roughness, scene.metallic):
+            values = np.asarray(values)
+            assert values.min() >= 0 and values.max() <= 1
+            assert not np.any(values[~np.asarray(scene.mask)])
 
 
 def test_images_outside_the_mask_stay_black(disc):

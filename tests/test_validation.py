@@ -76,6 +76,9 @@ def test_scores_by_hand(monkeypatch):
             light_directions=lights,
             light_intensities=lights,
             light_means=lights,
+            base_color=np.full((*mask.shape, 3), 0.5, np.float32),
+            roughness=np.full(mask.shape, 0.5, np.float32),
+            metallic=np.zeros(mask.shape, np.float32),
         )
         return scene, 3 * tilted(*estimate)
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.evaluation.published import PUBLISHED, mean
-from unips_jax.training.map_scores import EDGES
 
 ROOT = Path(__file__).resolve().parents[1]
 Table = dict[str, Any]  # columns and rows
@@ -178,28 +177,6 @@ def _diligent(setting: Setting, line: str) -> Table:
     return {"columns": ["", *(row[0] for row in table["rows"])], "rows": rows}
 
 
-def _error_said(setting: Setting, line: str) -> Table:
-    """What became of the errors that the network said, and what is best kept."""
-    found = json.loads(setting.run(line))
-    said = [f"said {a:g} to {b:g}" for a, b in zip(EDGES, EDGES[1:], strict=False)]
-    cells = zip([*said, "all"], *found["calibration"].values(), strict=True)
-    return {
-        "columns": ["degrees", "% of pixels", "% right", "nine in ten below"],
-        "rows": [[name, *_rounded(list(row))] for name, *row in cells],
-    }
-
-
-def _materials_said(setting: Setting, line: str) -> Table:
-    """Materials and the most certain pixels, the network's beside the floors'."""
-    found = json.loads(setting.run(line))
-    rows = [
-        [f"{group.replace('_', ' ')}: {name}", *_rounded([value])]
-        for group in ("sparsification", "base_color", "roughness", "metallic")
-        for name, value in found[group].items()
-    ]
-    return {"columns": ["", "figure"], "rows": rows}
-
-
 def _real(setting: Setting, line: str) -> Table:
     """The means of the yardstick's sets, the network's beside the constant normal's."""
     found = json.loads(setting.run(line))
@@ -239,21 +216,6 @@ MEASUREMENTS = {
         "The first 24 of these scenes.",
         "unips validate --weights tiny --scenes 24 --images 8 16 32 --json",
         _validate,
-    ),
-    "error-said": Measurement(
-        "How far off the network says it is",
-        "64 held-out scenes, 8 images. Nine errors in ten are to be below what is "
-        "said.",
-        "unips validate --weights tiny --maps --scenes 64 --images 8 --json",
-        _error_said,
-    ),
-    "materials": Measurement(
-        "Materials, and the most certain pixels",
-        "The same scenes. Mean angular errors in degrees of the pixels with the least "
-        "said errors, and of those with the least true ones; base colour up to scale, "
-        "PSNR in dB; roughness and metallic, mean absolute errors; floors beside.",
-        "unips validate --weights tiny --maps --scenes 64 --images 8 --json",
-        _materials_said,
     ),
     "uniform": Measurement(
         "Uniform material under directional light",

@@ -171,7 +171,7 @@ def estimate_folder(
     if options.materials and not has_maps:
         raise InputError(
             f"--materials: expected weights that tell them, got "
-            f"{network.record['name']}; take tiny, or leave --materials out"
+            f"{network.record['name']}, which do not; leave --materials out"
         )
     check_target(target, folder)
     if is_container(folder):

@@ -271,8 +271,7 @@ def estimate_maps(
     other maps have no gradient with respect to what the network made of the contexts.
 
     Args:
-        params: parameters of a network with heads (`ModelConfig.has_maps`), such as
-            the shipped `tiny`.
+        params: parameters of a network with heads (`ModelConfig.has_maps`).
         images: see `estimate_normals`, as the other arguments.
         mask: `[H, W]`.
         config: the network's configuration.
