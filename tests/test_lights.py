@@ -1,6 +1,5 @@
 """Lights of photographs, base colour, polynomial texture maps, confidence."""
 
-import dataclasses
 import json
 
 import cv2
@@ -9,7 +8,7 @@ import pytest
 from small_networks import SMALL_OURS, lively_weights
 from test_surface_command import hemisphere
 
-from unips_jax import estimate_lights, estimate_photograph_maps
+from unips_jax import estimate_lights
 from unips_jax.cli.estimate import main as estimate
 from unips_jax.errors import InputError
 from unips_jax.estimation import confidence
@@ -23,7 +22,6 @@ from unips_jax.lighting.harmonics import COSINE_LOBE, harmonics
 from unips_jax.lighting.lights import irradiance
 from unips_jax.weights import save_weights
 
-WITH_HEADS = dataclasses.replace(SMALL_OURS, head_dim=6)
 NORMALS, MASK, _ = hemisphere(40)
 DIRECTIONS = np.array(
     [[0.5, 0.2, 0.8], [-0.6, 0.1, 0.7], [0, 0.7, 0.6], [0.1, -0.5, 0.9], [0, 0, 1]]
@@ -205,21 +203,12 @@ def test_halves_are_halves():
         confidence.normal_spread({}, np.ones((1, 4, 4, 3)), MASK, NORMALS, config=None)
 
 
-def test_materials_need_a_network_that_tells_them(tmp_path, capsys):
-    weights = tmp_path / "plain.safetensors"
-    save_weights(weights, SMALL_OURS, lively_weights(SMALL_OURS))
-    given = [str(tmp_path), "-o", str(tmp_path / "out"), "--weights", str(weights)]
-    assert estimate([*given, "--materials"]) == 2
-    assert "--materials: expected weights that tell them" in capsys.readouterr().err
-
-
 def test_all_is_everything():
-    whole = FolderOptions(all=True, mesh="ply").spelled_out(materials=True)
+    whole = FolderOptions(all=True, mesh="ply").spelled_out()
     assert whole.mesh == "ply" and not whole.all
     names = ("depth", "lights", "base_color", "rti", "confidence", "view")
-    assert all(getattr(whole, name) for name in (*names, "materials"))
-    assert not FolderOptions(all=True).spelled_out(materials=False).materials
-    assert FolderOptions().spelled_out(materials=True) == FolderOptions()
+    assert all(getattr(whole, name) for name in names)
+    assert FolderOptions().spelled_out() == FolderOptions()
 
 
 def test_estimate_writes_what_is_asked_for(tmp_path):
@@ -230,16 +219,15 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
         cv2.imwrite(str(folder / f"{index}.png"), encoded[..., ::-1])
     cv2.imwrite(str(folder / "mask.png"), np.uint8(255 * MASK))
     weights = tmp_path / "small.safetensors"
-    save_weights(weights, WITH_HEADS, lively_weights(WITH_HEADS))
+    save_weights(weights, SMALL_OURS, lively_weights(SMALL_OURS))
     given = [str(folder), "-o", str(tmp_path / "out"), "--weights", str(weights)]
-    every = ["--lights", "--base-color", "--materials", "--rti", "--confidence"]
+    every = ["--lights", "--base-color", "--rti", "--confidence"]
     assert estimate([*given, *every]) == 0
     out = tmp_path / "out" / "thing"
     record = json.loads((out / "normals.json").read_text())
     beyond = {
         *("lights.json", "lights.lp", "base_color.exr", "base_color.png"),
         *("relight.ptm", "confidence.exr", "confidence.png", "unreliable.png"),
-        *("roughness.png", "metallic.png", "metallic_roughness.png"),
     }
     assert beyond <= set(record["files"])
     assert record["rti"]["psnr_db"] > 20
@@ -247,18 +235,12 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
     # What the network guesses, here a random one.
     images, mask, transfer = read_photographs(folder)
     guesses = guess_lights(
-        lively_weights(WITH_HEADS), images, mask, config=WITH_HEADS, transfer=transfer
+        lively_weights(SMALL_OURS), images, mask, config=SMALL_OURS, transfer=transfer
     )
     directions = np.array([light["direction"] for light in found])
     assert angles(directions, guesses).max() < 0.1
     levels = cv2.imread(str(out / "confidence.png"), cv2.IMREAD_UNCHANGED)
     assert not levels[~MASK].any() and (levels > 0).sum() == record["mask_pixels"]
-    maps = estimate_photograph_maps(
-        lively_weights(WITH_HEADS), images, mask, config=WITH_HEADS, transfer=transfer
-    )
-    packed = cv2.imread(str(out / "metallic_roughness.png"))[..., ::-1] / 255
-    np.testing.assert_allclose(packed[..., 1], maps.roughness, atol=0.003)
-    np.testing.assert_allclose(packed[..., 2], maps.metallic, atol=0.003)
     # The results are no photographs, should they be read as a folder of them.
     (out / "photo.png").write_bytes((folder / "0.png").read_bytes())
     assert select(out).names == ("photo.png",)

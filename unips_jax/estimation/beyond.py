@@ -2,14 +2,13 @@
 
 --lights       lights.json, lights.lp
 --base-color   base_color.exr, base_color.png
---materials    roughness.png, metallic.png, metallic_roughness.png
 --rti          relight.ptm
 --confidence   confidence.exr, confidence.png, unreliable.png
 """
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from unips_jax.io.images import write_exr, write_image
 from unips_jax.lighting.lights import Lights
 from unips_jax.models.config import ModelConfig
 
-if TYPE_CHECKING:
-    from unips_jax.estimation.pure import Estimate
-
 UNRELIABLE_DEG = 15.0  # of spread: a pixel above it is in the mask
 
 
@@ -30,12 +26,10 @@ class Beyond(NamedTuple):
 
     Attributes:
         lights: of the photographs, None unless wanted.
-        materials: roughness and metallic, `[H, W]` each, None unless wanted.
         confidence: `[H, W]`, the normals' spread in degrees, None unless wanted.
     """
 
     lights: Lights | None = None
-    materials: tuple[np.ndarray, np.ndarray] | None = None
     confidence: np.ndarray | None = None
 
 
@@ -47,7 +41,6 @@ def look_beyond(
     normals: np.ndarray,
     transfer: Transfer,
     options: FolderOptions,
-    maps: "Estimate | None" = None,
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Beyond:
@@ -61,7 +54,6 @@ def look_beyond(
         normals: `[H, W, 3]`, the estimate.
         transfer: how values encode light.
         options: what is wanted.
-        maps: what a network with heads said beside the normals.
         progress: called with the numbers of pixels done and to do.
     """
     known: dict[str, Any] = {
@@ -69,7 +61,7 @@ def look_beyond(
         "transfer": transfer,
         "frame": "image" if options.reader == "official" else "mask",
     }
-    lights, materials, confidence = None, None, None
+    lights, confidence = None, None
     if options.lights or options.base_color or options.rti:
         from unips_jax.estimation.lights import guess_lights
         from unips_jax.lighting.lights import estimate_lights
@@ -84,9 +76,7 @@ def look_beyond(
         confidence = normal_spread(
             params, images, mask, normals, **known, progress=progress
         )
-    if options.materials and maps is not None:
-        materials = np.asarray(maps.roughness), np.asarray(maps.metallic)
-    return Beyond(lights, materials, confidence)
+    return Beyond(lights, confidence)
 
 
 def write_beyond(
@@ -129,10 +119,6 @@ def write_beyond(
         if options.rti:
             path = folder / "relight.ptm"
             facts["rti"] = write_ptm(path, images, mask, lights, transfer=transfer)
-    if beyond.materials is not None:
-        from unips_jax.lighting.files import write_materials
-
-        facts["materials"] = write_materials(folder, *beyond.materials, mask)
     if beyond.confidence is not None:
         facts["confidence"] = write_confidence(folder, beyond.confidence, mask)
     return facts

@@ -165,14 +165,8 @@ def estimate_folder(
     Raises:
         InputError: if something cannot be read, used or written.
     """
-    has_maps = network.config.has_maps
-    options = (options or FolderOptions()).spelled_out(materials=has_maps)
+    options = (options or FolderOptions()).spelled_out()
     options.check()
-    if options.materials and not has_maps:
-        raise InputError(
-            f"--materials: expected weights that tell them, got "
-            f"{network.record['name']}, which do not; leave --materials out"
-        )
     check_target(target, folder)
     if is_container(folder):
         frames = options.max_images or KEYFRAMES
@@ -238,10 +232,7 @@ def estimate_selection(
     Raises:
         InputError: if a file cannot be read or used, or a normal is not finite.
     """
-    from unips_jax.estimation.streaming import (
-        estimate_photograph_maps,
-        estimate_photographs,
-    )
+    from unips_jax.estimation.streaming import estimate_photographs
 
     if verbose:
         print_selection(selection)
@@ -259,8 +250,8 @@ def estimate_selection(
         print_record(record)
         for warning in warnings:
             print(f"warning: {selection.folder}: {warning}", file=sys.stderr)
-    estimate: Any = functools.partial(
-        estimate_photograph_maps if options.materials else estimate_photographs,
+    estimate = functools.partial(
+        estimate_photographs,
         network.params,
         images,
         mask,
@@ -270,11 +261,9 @@ def estimate_selection(
     )
     if verbose:
         with progress("estimating normals") as report:
-            found = estimate(progress=report)
+            normals = estimate(progress=report)
     else:
-        found = estimate(progress=on_progress)
-    maps = found if options.materials else None
-    normals = found if maps is None else maps.normals
+        normals = estimate(progress=on_progress)
     bad = np.count_nonzero(~np.isfinite(normals).all(axis=-1))
     if bad:
         raise InputError(
@@ -285,7 +274,6 @@ def estimate_selection(
     look = functools.partial(
         look_beyond,
         *(network.config, network.params, images, mask, normals, transfer, options),
-        maps,
     )
     if verbose and options.confidence:
         with progress("estimating confidence") as report:

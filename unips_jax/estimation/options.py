@@ -44,8 +44,6 @@ class FolderOptions:
         mesh: also write a mesh, and the depth.
         lights: also write each photograph's light, lights.json and lights.lp.
         base_color: also write base_color.exr and base_color.png, the albedo.
-        materials: also write roughness.png, metallic.png and metallic_roughness.png,
-            as the network tells them.
         rti: also write relight.ptm, a polynomial texture map.
         confidence: also write how far normals spread over halves of the photographs,
             confidence.exr and .png, and unreliable.png, a mask; triples the time.
@@ -75,19 +73,14 @@ class FolderOptions:
     mesh: MeshFormat | None = None
     lights: bool = False
     base_color: bool = False
-    materials: bool = False
     rti: bool = False
     confidence: bool = False
     all: bool = False
     view: bool = False
     focal: str | None = None
 
-    def spelled_out(self, *, materials: bool) -> "FolderOptions":
-        """The same options with what `all` stands for.
-
-        Args:
-            materials: whether the network tells them.
-        """
+    def spelled_out(self) -> "FolderOptions":
+        """The same options with what `all` stands for."""
         if not self.all:
             return self
         return dataclasses.replace(
@@ -97,7 +90,6 @@ class FolderOptions:
             mesh=self.mesh or "glb",
             lights=True,
             base_color=True,
-            materials=materials,
             rti=True,
             confidence=True,
             view=True,

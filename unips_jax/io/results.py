@@ -21,7 +21,6 @@ RECORD = "normals.json"
 _RESULTS = frozenset(
     "normals.png normals.npy normals.exr normals.mat sheet.png depth.exr depth.png "
     "height.png mesh.ply mesh.obj mesh.glb view.html lights.json lights.lp "
-    "roughness.png metallic.png metallic_roughness.png "
     "base_color.exr base_color.png relight.ptm confidence.exr confidence.png "
     "unreliable.png".split()
     + [RECORD]

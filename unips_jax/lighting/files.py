@@ -5,8 +5,6 @@ lights.lp         directions, as RTI software reads them
 relight.ptm       a polynomial texture map
 base_color.exr    linear, float32
 base_color.png    16 bits, sRGB
-roughness.png     16 bits, linear; metallic.png likewise
-metallic_roughness.png  8 bits, linear: glTF's texture, roughness green, metallic blue
 """
 
 import json
@@ -72,36 +70,6 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
         lines.append(f"{name} {' '.join(f'{x:.6f}' for x in direction)}")
     text = "\n".join(lines) + "\n"
     (folder / "lights.lp").write_bytes(text.encode(errors="surrogateescape"))
-
-
-def write_materials(
-    folder: Path, roughness: np.ndarray, metallic: np.ndarray, mask: np.ndarray
-) -> dict[str, Any]:
-    """Writes `roughness.png`, `metallic.png` and `metallic_roughness.png`.
-
-    Args:
-        folder: where; it exists.
-        roughness: `[H, W]`, in [0, 1], perceptual, as in glTF and Blender.
-        metallic: `[H, W]`, in [0, 1].
-        mask: `[H, W]`, bool.
-
-    Returns:
-        For the record.
-    """
-    maps = {"roughness": roughness * mask, "metallic": metallic * mask}
-    for name, values in maps.items():
-        levels = np.rint(65535 * np.clip(values, 0, 1)).astype(np.uint16)
-        write_image(folder / f"{name}.png", levels)
-    packed = np.stack([np.zeros_like(roughness), *maps.values()], axis=-1)
-    write_image(
-        folder / "metallic_roughness.png", np.rint(255 * packed).astype(np.uint8)
-    )
-    return {
-        "levels": "value = level / 65535, linear; 0 outside the mask",
-        "metallic_roughness.png": "glTF: green is roughness, blue metallic",
-        "mean_roughness": float(roughness[mask].mean()),
-        "mean_metallic": float(metallic[mask].mean()),
-    }
 
 
 def write_base_color(
