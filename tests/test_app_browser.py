@@ -159,8 +159,8 @@ def test_from_photographs_to_a_lit_surface(server, photographs, tmp_path):
         check_viewer(driver)
         screenshot(driver, "app-result.jpg")
         assert [m for m in messages(driver) if "favicon" not in m] == []
-        folders = list(work.glob("unips-app-*/*"))
-        assert len(folders) == 1 and folders[0].stat().st_mode & 0o77 == 0
+        folders = list(work.glob("unips-app-*/*"))  # of others too, for a while
+        assert folders and all(f.stat().st_mode & 0o77 == 0 for f in folders)
 
 
 def edit_the_mask(driver, suggested):
