@@ -231,6 +231,7 @@ def check_viewer(driver):
     assert left < -2 < 2 < right
 
 
+@pytest.mark.slow
 def test_an_estimate_is_cancelled(server, photographs):
     address, _ = server
     with browser(1200, 1100) as driver:

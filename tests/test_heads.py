@@ -21,6 +21,7 @@ from unips_jax.training import loss as losses
 from unips_jax.training import map_scores
 from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 from unips_jax.training.loop import train
+from unips_jax.training.optimizer import make_optimizer
 from unips_jax.weights import save_weights
 
 CONFIG = dataclasses.replace(SMALL_OURS, head_dim=6)
@@ -149,11 +150,8 @@ def test_heads_send_no_gradient_to_the_normals(params):
     assert not any(np.any(x) for x in jax.tree.leaves(only))
 
 
-def test_heads_begin_on_weights_that_have_none(tmp_path):
-    """They alone are trained, and what they say gets better."""
-    plain = lively_weights(SMALL_OURS)
-    save_weights(tmp_path / "plain.safetensors", SMALL_OURS, plain)
-    config = Config(
+def heads_alone(steps):
+    return Config(
         model=CONFIG,
         data=DataConfig(
             source="scenes",
@@ -164,11 +162,48 @@ def test_heads_begin_on_weights_that_have_none(tmp_path):
             grid_loss=False,
             augment=False,
         ),
-        optim=OptimConfig(name="muon", learning_rate=3e-3, ema_decay=0),
-        train=TrainConfig(steps=30, heads_only=True, log_every=5, validation_scenes=0),
+        optim=OptimConfig(name="muon", learning_rate=3e-4, heads_rate=10, ema_decay=0),
+        train=TrainConfig(
+            steps=steps, heads_only=True, log_every=5, validation_scenes=0
+        ),
     )
+
+
+def test_the_optimiser_moves_the_heads_alone_and_faster():
+    layer = {"kernel": jnp.ones((4, 3)), "bias": jnp.ones(3)}
+    params = {name: layer for name in ("encoder", "decoder", "heads")}
+    gradients = jax.tree.map(jnp.ones_like, params)
+
+    def moved(config):
+        optimizer = make_optimizer(config)
+        state = optimizer.init(params)
+        return optimizer.update(gradients, state, params)[0]
+
+    config = heads_alone(10)
+    alone = moved(config)
+    slower = moved(
+        dataclasses.replace(
+            config, optim=dataclasses.replace(config.optim, heads_rate=1)
+        )
+    )
+    jax.tree.map(
+        lambda fast, slow: np.testing.assert_allclose(fast, 10 * slow, rtol=1e-4),
+        alone.pop("heads"),
+        slower["heads"],
+    )
+    assert not any(np.any(x) for x in jax.tree.leaves(alone))
+    train_all = dataclasses.replace(config.train, heads_only=False)
+    whole = moved(dataclasses.replace(config, train=train_all))
+    assert all(np.any(x) for x in jax.tree.leaves(whole))
+
+
+@pytest.mark.slow
+def test_heads_begin_on_weights_that_have_none(tmp_path):
+    """They alone are trained, and what they say gets better."""
+    plain = lively_weights(SMALL_OURS)
+    save_weights(tmp_path / "plain.safetensors", SMALL_OURS, plain)
     source = str(tmp_path / "plain.safetensors")
-    train(config, tmp_path / "run", init_weights=source)
+    train(heads_alone(30), tmp_path / "run", init_weights=source)
     model, trained = load_weights(tmp_path / "run" / "last.safetensors")
     assert model == CONFIG
     heads = trained.pop("heads")
