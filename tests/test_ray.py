@@ -14,7 +14,7 @@ from unips_jax.cli import cluster, estimate, eval
 from unips_jax.errors import InputError
 
 HERE = Path(__file__).parent
-SAMPLE = HERE.parent / "unips_jax" / "assets" / "sample"
+SAMPLE = HERE.parent / "unips_jax" / "assets" / "sample" / "obj000.data"
 
 
 def on_cluster(kills, *arguments):
@@ -68,13 +68,12 @@ def test_estimates_with_five_workers_killed(tmp_path):
         shutil.copytree(SAMPLE, folders[-1])
     folders.append(tmp_path / "empty.data")
     folders[-1].mkdir()
-    arguments = ["--random-weights", "-o"]
-    assert estimate.main([*map(str, folders), *arguments, str(tmp_path / "one")]) == 2
-    out = tmp_path / "many"
-    status, printed, error = on_cluster(5, "estimate", *folders, *arguments, out)
+    one, many = tmp_path / "one", tmp_path / "many"
+    assert estimate.main([*map(str, folders), "-o", str(one)]) == 2
+    status, printed, error = on_cluster(5, "estimate", *folders, "-o", many)
     assert status == 2 and "1 of 5 folders gave no normals" in error
     assert "empty.data" in error and "killed 5" in printed
-    one, many = files_of(tmp_path / "one"), files_of(out)
+    one, many = files_of(one), files_of(many)
     assert one.keys() == many.keys()
     for name in one:
         if name.endswith(".json"):
