@@ -12,7 +12,7 @@ from test_photos import HEIGHT, WIDTH, save, smooth
 
 from unips_jax.cli import main as cli
 from unips_jax.errors import InputError
-from unips_jax.estimation import folders, streaming
+from unips_jax.estimation import streaming, writing
 from unips_jax.evaluation.benchmarks import open_benchmark
 from unips_jax.io.color import as_linear
 
@@ -106,7 +106,7 @@ def test_gives_the_network_what_estimate_does(tmp_path, monkeypatch, dtype):
         return mask[..., None] * np.float32([0, 0, 1])
 
     monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
-    monkeypatch.setattr(folders, "write_sheet", lambda *args, **options: None)
+    monkeypatch.setattr(writing, "write_sheet", lambda *args, **options: None)
     folder, size = tmp_path / "photographs" / "shoe", (HEIGHT, WIDTH)
     inside, normals = data.sphere(*size)
     data.write_image(tmp_path / "photographs/shoe/normal.png", data.encode16(normals))

@@ -33,7 +33,10 @@ pytestmark = [
         reason="npm is not installed",
     ),
 ]
-build = runpy.run_path(str(ROOT / "tools" / "build_browser_page.py"))["main"]
+TOOLS = ROOT / "tools"
+with pytest.MonkeyPatch.context() as patched:
+    patched.syspath_prepend(TOOLS)
+    build = runpy.run_path(str(TOOLS / "build_browser_page.py"))["main"]
 # Nothing but the test's own server is found.
 ALONE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 BYTES = """

@@ -12,7 +12,7 @@ import pytest
 
 from unips_jax import weights
 from unips_jax.cli import main as cli
-from unips_jax.estimation import folders, streaming
+from unips_jax.estimation import folders, streaming, writing
 from unips_jax.io.selection import select
 from unips_jax.models.config import ModelConfig
 
@@ -45,7 +45,7 @@ def network_calls(monkeypatch):
 @pytest.fixture
 def calls(network_calls, monkeypatch):
     """Leaves out the contact sheet, too."""
-    monkeypatch.setattr(folders, "write_sheet", lambda *args, **options: None)
+    monkeypatch.setattr(writing, "write_sheet", lambda *args, **options: None)
     return network_calls
 
 

@@ -21,7 +21,9 @@ TOOL = FOLDER / "tools" / "fetch_assets.py"
 
 @pytest.fixture(scope="module")
 def tool():
-    return runpy.run_path(str(TOOL))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.syspath_prepend(TOOL.parent)
+        return runpy.run_path(str(TOOL))
 
 
 def packed(files):
@@ -56,9 +58,9 @@ def test_another_archive_is_refused(tool, monkeypatch):
     archive = packed({"c.js": b"1"})
     serve(monkeypatch, archive)
     with pytest.raises(Exception, match=r"expected an archive of SHA-512 cc798a352fb7"):
-        tool["fetch"](tool["ENVIRONMENTS"])
+        tool["archive_of"](tool["ENVIRONMENTS"])
     right = hashlib.sha512(archive).hexdigest()
-    assert tool["fetch"](tool["ENVIRONMENTS"]._replace(sha512=right)) == archive
+    assert tool["archive_of"](tool["ENVIRONMENTS"]._replace(sha512=right)) == archive
 
 
 def test_without_npm_one_line_says_so(tool, monkeypatch, tmp_path, capsys):

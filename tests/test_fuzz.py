@@ -17,7 +17,7 @@ from unips_jax import weights
 from unips_jax.cli import eval as evaluation
 from unips_jax.cli import main as cli
 from unips_jax.cli import surface, validate
-from unips_jax.estimation import folders, streaming
+from unips_jax.estimation import streaming, writing
 from unips_jax.scenes import folders as scene_folders
 from unips_jax.training import loop, validation
 
@@ -175,7 +175,7 @@ def no_work():
         patched.setattr(surface, "write_surface", _reached)
         patched.setattr(validate, "_validate_real", _reached)
         patched.setattr(streaming, "estimate_photographs", _stand_in)
-        patched.setattr(folders, "write_sheet", lambda file, *_, **__: None)
+        patched.setattr(writing, "write_sheet", lambda file, *_, **__: None)
         patched.setattr(scene_folders, "render_folders", _reached)
         patched.setattr(scene_folders, "render_sheet", _reached)
         patched.setattr(loop, "train", _reached)

@@ -9,15 +9,14 @@ docs/browser.md.
 """
 
 import argparse
-import hashlib
 import io
 import shutil
-import subprocess
 import tarfile
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
+
+from packages import fetch
 
 from unips_jax.console import command
 from unips_jax.errors import InputError
@@ -92,34 +91,6 @@ PACKAGES = (
 )
 
 
-def fetch(package: Package) -> bytes:
-    """The package's archive.
-
-    Raises:
-        InputError: if it cannot be had, or is another one.
-    """
-    name = f"{package.name}@{package.version}"
-    with tempfile.TemporaryDirectory() as folder:
-        words = ["npm", "pack", "--silent", name]
-        try:
-            subprocess.run(
-                words, cwd=folder, check=True, capture_output=True, text=True
-            )
-        except FileNotFoundError:
-            raise InputError("npm: expected on the path, found none") from None
-        except subprocess.CalledProcessError as error:
-            raise InputError(f"{name}: {error.stderr.strip()[-300:]}") from None
-        (archive,) = Path(folder).iterdir()
-        data = archive.read_bytes()
-    found = hashlib.sha512(data).hexdigest()
-    if found != package.sha512:
-        raise InputError(
-            f"{name}: expected an archive of SHA-512 {package.sha512[:16]}..., got "
-            f"{found[:16]}..."
-        )
-    return data
-
-
 def unpack(package: Package, archive: bytes, target: Path) -> None:
     """Writes the package's scripts and its licence.
 
@@ -161,7 +132,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments = parser.parse_args(argv)
     check_target(arguments.output, SOURCE, record="index.html")
     config, params = load_weights(arguments.weights)
-    archives = {package: fetch(package) for package in PACKAGES}
+    archives = {
+        package: fetch(f"{package.name}@{package.version}", package.sha512)
+        for package in PACKAGES
+    }
     with appearing_at_once(arguments.output, record=RECORD) as place:
         shutil.copytree(SOURCE, place, dirs_exist_ok=True)
         for package, archive in archives.items():

@@ -18,18 +18,15 @@ Both write their licences beside. An archive whose hash is not the one below is 
 
 import argparse
 import base64
-import hashlib
 import io
-import subprocess
-import sys
 import tarfile
-import tempfile
 import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from packages import NPM, PIP, fetch
 
 from unips_jax.console import command
 from unips_jax.errors import InputError
@@ -52,25 +49,23 @@ class Package(NamedTuple):
         sha512: of the archive.
         license: SPDX name.
         about: what it holds.
-        fetch: the command that writes its archive into the folder where it runs.
+        tool: that fetches it.
     """
 
     name: str
     sha512: str
     license: str
     about: str
-    fetch: tuple[str, ...]
+    tool: tuple[str, ...]
 
 
-_NPM = ("npm", "pack", "--silent")
-_PIP = (sys.executable, "-m", "pip", "download", "--quiet", "--no-deps")
 ENVIRONMENTS = Package(
     "@pmndrs/assets@1.7.0",
     "cc798a352fb726fbbd2b7cc90507d840a4fd3e7f4842df2cd2afde242dc25caa"
     "56a7283a2016be8af37d3600e7f9f0d3d80563521d98459fff19752e7ae01d0a",
     "CC0-1.0",
     "18 environments photographed by Poly Haven",
-    _NPM,
+    NPM,
 )
 DM_CONTROL = Package(
     "dm-control==1.0.50",
@@ -78,7 +73,7 @@ DM_CONTROL = Package(
     "ebcdee8f55af5cd26b4db5c875c499bb98ba3ef9e4f83890e04a628da3e3b104",
     "Apache-2.0",
     "a dog and its bones",
-    _PIP,
+    PIP,
 )
 GENESIS = Package(
     "genesis-world==1.4.5",
@@ -86,7 +81,7 @@ GENESIS = Package(
     "299feb7888add4a8a9714074eee8dd62c8ded6de6a0abc2f87a2b619e481225d",
     "Apache-2.0",
     "a bolt, a worm, a bathtub",
-    _PIP,
+    PIP,
 )
 MESHES = {
     DM_CONTROL: {
@@ -106,35 +101,9 @@ MESHES = {
 }
 
 
-def fetch(package: Package) -> bytes:
-    """The package's archive.
-
-    Raises:
-        InputError: if it cannot be had, or is another one.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            subprocess.run(
-                [*package.fetch, package.name],
-                cwd=folder,
-                check=True,
-                capture_output=True,
-                text=True,
-            )
-        except FileNotFoundError:
-            tool = package.fetch[0]
-            raise InputError(f"{tool}: expected on the path, found none") from None
-        except subprocess.CalledProcessError as error:
-            raise InputError(f"{package.name}: {error.stderr.strip()[-300:]}") from None
-        (archive,) = Path(folder).iterdir()
-        data = archive.read_bytes()
-    found = hashlib.sha512(data).hexdigest()
-    if found != package.sha512:
-        raise InputError(
-            f"{package.name}: expected an archive of SHA-512 {package.sha512[:16]}..., "
-            f"got {found[:16]}..."
-        )
-    return data
+def archive_of(package: Package) -> bytes:
+    """The package's archive; see `packages.fetch`."""
+    return fetch(package.name, package.sha512, package.tool)
 
 
 def meshes_of(archive: bytes, files: dict[str, str]) -> dict[str, bytes]:
@@ -245,7 +214,7 @@ def _write_licenses(folder: Path, packages: Iterable[Package]) -> None:
 def _write_meshes(folder: Path) -> None:
     make_folder(folder, "DIR")
     for package, files in MESHES.items():
-        for name, data in meshes_of(fetch(package), files).items():
+        for name, data in meshes_of(archive_of(package), files).items():
             write_whole(folder / name, data)
     _write_licenses(folder, MESHES)
     print(f"wrote {sum(map(len, MESHES.values()))} meshes to {folder}")
@@ -254,7 +223,7 @@ def _write_meshes(folder: Path) -> None:
 def _write_environments(folder: Path, tables: Path | None) -> None:
     make_folder(folder, "DIR")
     pictures = []
-    for name, data in environments_of(fetch(ENVIRONMENTS)).items():
+    for name, data in environments_of(archive_of(ENVIRONMENTS)).items():
         path = folder / f"{name}.exr"
         write_whole(path, data)
         if name not in _KEPT_APART:

@@ -22,9 +22,9 @@ from unips_jax.console import command, parse, start_jax
 from unips_jax.estimation.folders import (
     estimate_selection,
     load_network,
-    write_estimate,
 )
 from unips_jax.estimation.options import FolderOptions
+from unips_jax.estimation.writing import write_estimate
 from unips_jax.io.ps_wild import PSWildFolders, read_object
 from unips_jax.io.results import check_target
 from unips_jax.io.selection import select

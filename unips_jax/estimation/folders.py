@@ -1,4 +1,6 @@
-"""Folders of photographs to folders of results: read, advise, estimate, write.
+"""Folders of photographs to folders of results.
+
+Read and advise (`reading`), estimate, write (`writing`).
 
 Transfer function: by the files' own colour tags, else by their type; see `io.color`.
 `FolderOptions.transfer` overrules it.
@@ -16,39 +18,23 @@ import numpy as np
 from unips_jax.capture.unpack import KEYFRAMES, is_container, unpacked
 from unips_jax.console import progress
 from unips_jax.errors import InputError
-from unips_jax.estimation.beyond import Beyond, look_beyond, write_beyond
+from unips_jax.estimation.beyond import look_beyond
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.reading import chosen_photographs, dark_file, read_and_look
-from unips_jax.io.color import Transfer
-from unips_jax.io.images import write_image
-from unips_jax.io.normals import write_normals
+from unips_jax.estimation.writing import Estimate, write_estimate
 from unips_jax.io.record import (
     HashingReader,
     complete_record,
     input_record,
-    print_line,
     print_record,
     print_selection,
     same_inputs,
-    summary,
 )
-from unips_jax.io.results import (
-    appearing_at_once,
-    check_target,
-    clear_leftovers,
-    read_record,
-    write_record,
-)
+from unips_jax.io.results import check_target, clear_leftovers, read_record
 from unips_jax.io.selection import Selection
 from unips_jax.models.config import ModelConfig
-from unips_jax.pictures.estimate_sheet import write_sheet
 from unips_jax.provenance import code_hash
-from unips_jax.surface.outputs import (
-    focal_of,
-    mean_colors,
-    print_surface,
-    write_surface,
-)
+from unips_jax.surface.outputs import focal_of
 
 Progress = Callable[[int, int], None]
 
@@ -57,6 +43,7 @@ _CODE = (
     "estimation.streaming",
     "estimation.beyond",
     "estimation.reading",
+    "estimation.writing",
     "io.photographs",
     "io.official",
     "io.normals",
@@ -79,30 +66,6 @@ class Network:
     config: ModelConfig
     params: Any
     record: dict[str, Any]
-
-
-@dataclasses.dataclass(frozen=True)
-class Estimate:
-    """Normals, what they were estimated from, and how.
-
-    Attributes:
-        images: `[N, H, W, 3]`, as the network was given them.
-        mask: `[H, W]`, bool.
-        transfer: how the images encode light.
-        normals: `[H, W, 3]`, float32, unit length inside the mask, zero outside.
-        record: the content of `normals.json`, less the files' hashes.
-        focal: in pixels, if there is a depth to write and its camera is not
-            orthographic.
-        beyond: lights and confidence, where they are wanted.
-    """
-
-    images: np.ndarray
-    mask: np.ndarray
-    transfer: Transfer
-    normals: np.ndarray
-    record: dict[str, Any]
-    focal: float | None = None
-    beyond: Beyond = Beyond()
 
 
 def load_network(source: str = "tiny") -> Network:
@@ -281,105 +244,6 @@ def estimate_selection(
     else:
         beyond = look()
     return Estimate(images, mask, transfer, normals, record, focal, beyond)
-
-
-def write_estimate(
-    target: Path,
-    estimate: Estimate,
-    options: FolderOptions,
-    *,
-    truth: np.ndarray | None = None,
-    facts: dict[str, Any] | None = None,
-    more: Callable[[Path], None] | None = None,
-    verbose: bool = False,
-) -> dict[str, Any]:
-    """Writes normals, their sheet and their record; all files appear, or none.
-
-    Args:
-        target: folder for the results.
-        estimate: what to write.
-        options: which files, and the maps' convention.
-        truth: `[H, W, 3]`, the true normals: the sheet shows the errors.
-        facts: more of the record.
-        more: writes further files into the folder it is given.
-        verbose: print what was written.
-
-    Returns:
-        What `normals.json` holds, less the files' hashes.
-
-    Raises:
-        InputError: if the file system refuses.
-    """
-    record = {**estimate.record, **(facts or {})}
-    with appearing_at_once(target) as place:
-        write_normals(
-            place,
-            estimate.normals,
-            exr=options.exr,
-            mat=options.mat,
-            normal_map=options.normal_map,
-        )
-        write_sheet(
-            place / "sheet.png",
-            estimate.images,
-            estimate.normals,
-            estimate.mask,
-            title=target.name,
-            subtitle=summary(record),
-            encoded=estimate.transfer == "srgb",
-            truth=truth,
-        )
-        if record["mask_suggested"]:
-            write_image(place / "mask.png", estimate.mask.astype(np.uint8) * 255)
-        if options.depth or options.mesh:
-            colors = None
-            if options.mesh:
-                colors = mean_colors(estimate.images, estimate.transfer)
-            record["surface"] = write_surface(
-                place,
-                estimate.normals,
-                estimate.mask,
-                focal=estimate.focal,
-                mesh=options.mesh,
-                colors=colors,
-            )
-            if verbose:
-                print_surface(record["surface"])
-        record |= write_beyond(
-            *(place, estimate.beyond, estimate.images, estimate.mask),
-            *(estimate.normals, estimate.transfer, list(record["images"]), options),
-        )
-        if options.view:
-            _write_view(place, target.name, estimate, record)
-        if more is not None:
-            more(place)
-        names = write_record(place, record)
-    if verbose:
-        print_line("wrote", f"{target}/: {', '.join(names)}")
-    return record
-
-
-def _write_view(
-    place: Path, title: str, estimate: Estimate, record: dict[str, Any]
-) -> None:
-    """Writes `view.html`; its depth is that of the files, if there is one."""
-    from unips_jax.surface.files import read_depth
-    from unips_jax.viewer.page import with_depth, write_view
-    from unips_jax.viewer.result import Result, maps_of, photographs_of
-
-    surface = record.get("surface") or {}
-    names = tuple(record["images"])
-    result = Result(
-        title,
-        estimate.normals,
-        photographs_of(estimate.images, names, estimate.transfer),
-        read_depth(place / "depth.exr") if surface else None,
-        unit=surface.get("unit", "pixels"),
-        focal=surface.get("focal_px"),
-        record=record,
-        **maps_of(place, estimate.mask.shape),
-    )
-    write_view(place / "view.html", with_depth(result))
 
 
 def _network(config: ModelConfig, params: Any, name: str, *, trained: bool) -> Network:

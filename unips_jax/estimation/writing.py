@@ -1,0 +1,141 @@
+"""A folder's results on disk: normals, sheet, record, and what else is wanted."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unips_jax.estimation.beyond import Beyond, write_beyond
+from unips_jax.estimation.options import FolderOptions
+from unips_jax.io.color import Transfer
+from unips_jax.io.images import write_image
+from unips_jax.io.normals import write_normals
+from unips_jax.io.record import print_line, summary
+from unips_jax.io.results import appearing_at_once, write_record
+from unips_jax.pictures.estimate_sheet import write_sheet
+from unips_jax.surface.outputs import mean_colors, print_surface, write_surface
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Normals, what they were estimated from, and how.
+
+    Attributes:
+        images: `[N, H, W, 3]`, as the network was given them.
+        mask: `[H, W]`, bool.
+        transfer: how the images encode light.
+        normals: `[H, W, 3]`, float32, unit length inside the mask, zero outside.
+        record: the content of `normals.json`, less the files' hashes.
+        focal: in pixels, if there is a depth to write and its camera is not
+            orthographic.
+        beyond: lights and confidence, where they are wanted.
+    """
+
+    images: np.ndarray
+    mask: np.ndarray
+    transfer: Transfer
+    normals: np.ndarray
+    record: dict[str, Any]
+    focal: float | None = None
+    beyond: Beyond = Beyond()
+
+
+def write_estimate(
+    target: Path,
+    estimate: Estimate,
+    options: FolderOptions,
+    *,
+    truth: np.ndarray | None = None,
+    facts: dict[str, Any] | None = None,
+    more: Callable[[Path], None] | None = None,
+    verbose: bool = False,
+) -> dict[str, Any]:
+    """Writes normals, their sheet and their record; all files appear, or none.
+
+    Args:
+        target: folder for the results.
+        estimate: what to write.
+        options: which files, and the maps' convention.
+        truth: `[H, W, 3]`, the true normals: the sheet shows the errors.
+        facts: more of the record.
+        more: writes further files into the folder it is given.
+        verbose: print what was written.
+
+    Returns:
+        What `normals.json` holds, less the files' hashes.
+
+    Raises:
+        InputError: if the file system refuses.
+    """
+    record = {**estimate.record, **(facts or {})}
+    with appearing_at_once(target) as place:
+        write_normals(
+            place,
+            estimate.normals,
+            exr=options.exr,
+            mat=options.mat,
+            normal_map=options.normal_map,
+        )
+        write_sheet(
+            place / "sheet.png",
+            estimate.images,
+            estimate.normals,
+            estimate.mask,
+            title=target.name,
+            subtitle=summary(record),
+            encoded=estimate.transfer == "srgb",
+            truth=truth,
+        )
+        if record["mask_suggested"]:
+            write_image(place / "mask.png", estimate.mask.astype(np.uint8) * 255)
+        if options.depth or options.mesh:
+            colors = None
+            if options.mesh:
+                colors = mean_colors(estimate.images, estimate.transfer)
+            record["surface"] = write_surface(
+                place,
+                estimate.normals,
+                estimate.mask,
+                focal=estimate.focal,
+                mesh=options.mesh,
+                colors=colors,
+            )
+            if verbose:
+                print_surface(record["surface"])
+        record |= write_beyond(
+            *(place, estimate.beyond, estimate.images, estimate.mask),
+            *(estimate.normals, estimate.transfer, list(record["images"]), options),
+        )
+        if options.view:
+            _write_view(place, target.name, estimate, record)
+        if more is not None:
+            more(place)
+        names = write_record(place, record)
+    if verbose:
+        print_line("wrote", f"{target}/: {', '.join(names)}")
+    return record
+
+
+def _write_view(
+    place: Path, title: str, estimate: Estimate, record: dict[str, Any]
+) -> None:
+    """Writes `view.html`; its depth is that of the files, if there is one."""
+    from unips_jax.surface.files import read_depth
+    from unips_jax.viewer.page import with_depth, write_view
+    from unips_jax.viewer.result import Result, maps_of, photographs_of
+
+    surface = record.get("surface") or {}
+    names = tuple(record["images"])
+    result = Result(
+        title,
+        estimate.normals,
+        photographs_of(estimate.images, names, estimate.transfer),
+        read_depth(place / "depth.exr") if surface else None,
+        unit=surface.get("unit", "pixels"),
+        focal=surface.get("focal_px"),
+        record=record,
+        **maps_of(place, estimate.mask.shape),
+    )
+    write_view(place / "view.html", with_depth(result))
