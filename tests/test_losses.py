@@ -10,6 +10,7 @@ import pytest
 from small_networks import SMALL, lively_weights
 
 from unips_jax.training import loss as losses
+from unips_jax.training.chunked_sum import chunked_sum
 
 ONE_STAGE = dataclasses.replace(SMALL, depths=(1,), num_heads=(2,), pool_scales=(1,))
 
@@ -27,7 +28,7 @@ def test_sum_of_chunks_is_the_sum(size):
         return jnp.sum(c * y), y
 
     def chunked(w, x):
-        return losses.chunked_sum(function, w, x, c, size)
+        return chunked_sum(function, w, x, c, size)
 
     value, y = chunked(w, x)
     expected, expected_y = function(w, x, c)

@@ -12,7 +12,8 @@ import small_networks
 from flax.traverse_util import flatten_dict
 from small_networks import lively
 
-from unips_jax.models.config import ModelConfig, from_json, to_json
+from unips_jax.models.config import ModelConfig
+from unips_jax.models.config_json import from_json, to_json
 from unips_jax.models.network import Network, init_params
 from unips_jax.models.self_calibrating import Observation, image_ratios
 from unips_jax.models.set_attention import PMA, SAB, dot_product_attention

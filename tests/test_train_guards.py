@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from unips_jax.errors import InputError
-from unips_jax.models.config import to_json
+from unips_jax.models.config_json import to_json
 from unips_jax.train import load_config, main
 from unips_jax.training import log as log_module
 from unips_jax.training import loop

@@ -138,7 +138,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(uninterrupted, tmp_pat
 
 CONFIGURATION = """
 from pathlib import Path
-from unips_jax.models.config import from_json
+from unips_jax.models.config_json import from_json
 from unips_jax.training.config import Config
 
 def get_config():

@@ -12,7 +12,8 @@ from safetensors.numpy import save_file
 from small_networks import SMALL, lively_weights
 
 from unips_jax.errors import InputError
-from unips_jax.models.config import ModelConfig, to_json
+from unips_jax.models.config import ModelConfig
+from unips_jax.models.config_json import to_json
 from unips_jax.models.released import from_official, official_name
 from unips_jax.weights import (
     load_weights,

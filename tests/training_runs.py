@@ -58,7 +58,7 @@ import sys
 from pathlib import Path
 import jax
 jax.config.update("jax_num_cpu_devices", int(sys.argv[2]))
-from unips_jax.models.config import from_json
+from unips_jax.models.config_json import from_json
 from unips_jax.training.config import Config
 from unips_jax.training.loop import train
 config = from_json(Config, Path(sys.argv[1], "config.json").read_text())

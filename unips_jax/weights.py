@@ -24,7 +24,8 @@ from safetensors.numpy import save
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import write_whole
-from unips_jax.models.config import ModelConfig, from_json, to_json
+from unips_jax.models.config import ModelConfig
+from unips_jax.models.config_json import from_json, to_json
 from unips_jax.models.network import init_params, param_shapes, raise_misfits
 
 Params = dict[str, Any]

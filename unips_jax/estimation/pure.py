@@ -36,7 +36,7 @@ from unips_jax.models.network import Network, read_contexts
 Params = Any
 
 
-class Estimate(NamedTuple):
+class SurfaceMaps(NamedTuple):
     """Normals, and what else a network with heads says of each pixel.
 
     Zero outside the mask.
@@ -125,7 +125,7 @@ def decode(
 
     Returns:
         Unit normals, `[P, 3]`; of two views the mean, mirrored back. With `maps` an
-        `Estimate`.
+        `SurfaceMaps`.
     """
 
     def of_view(view: tuple[Array, Frame, Array]) -> Any:
@@ -148,7 +148,7 @@ def decode(
     normals = mean_of_views(normals)
     if not maps:
         return normals
-    return Estimate(normals, *(jnp.mean(value, axis=0) for value in rest[0]))
+    return SurfaceMaps(normals, *(jnp.mean(value, axis=0) for value in rest[0]))
 
 
 def decode_view(
@@ -264,7 +264,7 @@ def estimate_maps(
     config: ModelConfig,
     valid: ArrayLike | None = None,
     frame: FrameKind = "mask",
-) -> Estimate:
+) -> SurfaceMaps:
     """Estimates normals, their error, and the material, in one pass.
 
     Everything that `estimate_normals` promises holds, and its normals are the same. The

@@ -9,7 +9,7 @@ import numpy as np
 
 from unips_jax.estimation.chunks import CHUNK_TOKENS
 from unips_jax.estimation.frame import Frame, FrameKind, resize_weights, square_frame
-from unips_jax.estimation.pure import Estimate, decode, encode
+from unips_jax.estimation.pure import SurfaceMaps, decode, encode
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.models.config import ModelConfig
 
@@ -70,7 +70,7 @@ def estimate_photograph_maps(
     transfer: Transfer = "linear",
     frame: FrameKind = "mask",
     progress: Callable[[int, int], None] | None = None,
-) -> Estimate:
+) -> SurfaceMaps:
     """`estimate_maps` for large photographs, as `estimate_photographs` is for normals.
 
     Args:
@@ -95,7 +95,7 @@ def estimate_photograph_maps(
         progress=progress,
         maps=True,
     )
-    return Estimate(*maps)  # type: ignore[arg-type]
+    return SurfaceMaps(*maps)  # type: ignore[arg-type]
 
 
 def _estimate(
@@ -110,7 +110,7 @@ def _estimate(
     uniform_contexts: bool = False,
     maps: bool = False,
 ) -> list[np.ndarray]:
-    """The arrays of an `Estimate`, or its normals alone."""
+    """The arrays of `SurfaceMaps`, or the normals alone."""
     n = images.shape[0]
     bucket = padded_size(n)
     valid = np.arange(bucket) < n
@@ -129,7 +129,8 @@ def _estimate(
         encoded.append((contexts, square))
     contexts, square = jax.tree.map(lambda *view: jnp.stack(view), *encoded)
 
-    widths = ((3,), (), (3,), (), ()) if maps else ((3,),)  # of an `Estimate`'s arrays
+    # Of the arrays of `SurfaceMaps`.
+    widths = ((3,), (), (3,), (), ()) if maps else ((3,),)
     results = [np.zeros((*mask.shape, *width), np.float32) for width in widths]
     size = max(1, CHUNK_TOKENS // bucket)
     done, total = 0, int(np.count_nonzero(mask))

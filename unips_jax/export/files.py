@@ -21,7 +21,8 @@ from jax import export
 from unips_jax.errors import InputError
 from unips_jax.export.functions import decode_pixels, encode_set, estimate
 from unips_jax.io.results import appearing_at_once, file_hash
-from unips_jax.models.config import ModelConfig, to_json
+from unips_jax.models.config import ModelConfig
+from unips_jax.models.config_json import to_json
 from unips_jax.weights import params_hash
 
 Format = Literal["onnx", "stablehlo"]

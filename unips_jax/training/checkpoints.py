@@ -27,7 +27,7 @@ from orbax.checkpoint import multihost
 from orbax.checkpoint import v1 as ocp
 
 from unips_jax.errors import InputError
-from unips_jax.models.config import to_json
+from unips_jax.models.config_json import to_json
 from unips_jax.training.checksums import damage, write_checksums
 from unips_jax.training.config import Config
 from unips_jax.training.guards import any_process

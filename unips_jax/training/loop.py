@@ -18,7 +18,7 @@ from jax.sharding import Mesh
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
-from unips_jax.models.config import to_json
+from unips_jax.models.config_json import to_json
 from unips_jax.training.batches import make_batches
 from unips_jax.training.checkpoints import Checkpoints
 from unips_jax.training.compilation import (

@@ -7,20 +7,16 @@ distance itself may be taken instead, which follows the mean angular error.
 
 import dataclasses
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import optax
 from jax import Array
 
 from unips_jax.estimation.chunks import (
     CHUNK_IMAGES,
     CHUNK_TOKENS,
     in_pieces,
-    join_chunks,
-    split_chunks,
 )
 from unips_jax.estimation.frame import (
     FrameKind,
@@ -34,6 +30,7 @@ from unips_jax.models.config import ModelConfig
 from unips_jax.models.encoding import Guesses, whole
 from unips_jax.models.heads import Maps
 from unips_jax.models.network import Network, read_contexts
+from unips_jax.training.chunked_sum import chunked_sum
 
 # Of the error's head: what share of the pixels stays below, and the degrees below
 # which errors are all alike.
@@ -55,60 +52,6 @@ def plain_distance(squared: Array) -> Array:
 def mean_weights(mask: Array) -> Array:
     """Weights `[P]` of masked pixels in their mean; all zero for an empty mask."""
     return mask / jnp.maximum(jnp.sum(mask), 1)
-
-
-def chunked_sum(
-    function: Callable[[Any, Any, Any], tuple[Array, Any]],
-    params: Any,
-    xs: Any,
-    constants: Any,
-    size: int | None,
-) -> tuple[Array, Any]:
-    """Sums a function over chunks of the leading axis, in bounded memory.
-
-    Where a derivative is asked for, each chunk's gradient is computed together with its
-    value, and the derivative is the product with it. So nothing of a chunk is kept or
-    recomputed, and all of it stays in cache.
-
-    Args:
-        function: of `params`, and of the chunks of `xs` and of `constants`; returns a
-            sum, and arrays with the chunk's leading axis.
-        params: differentiable.
-        xs: arrays `[P, ...]`, differentiable.
-        constants: arrays `[P, ...]`, taken as constants.
-        size: of the chunks, the last one padded with zeros; None: all at once.
-
-    Returns:
-        The sum, and the function's arrays, `[P, ...]`, without a derivative.
-    """
-    total = jax.tree.leaves(xs)[0].shape[0]
-    parts = split_chunks((xs, constants), size or total)
-    value, arrays = _chunked_sum(function, params, *parts)
-    return value, join_chunks(arrays, total)
-
-
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _chunked_sum(
-    function: Any, params: Any, xs: Any, constants: Any
-) -> tuple[Array, Any]:
-    values, arrays = jax.lax.map(lambda part: function(params, *part), (xs, constants))
-    return jnp.sum(values), arrays
-
-
-@_chunked_sum.defjvp
-def _chunked_sum_jvp(function: Any, primals: Any, tangents: Any) -> Any:
-    params, *parts = primals
-    run = jax.value_and_grad(function, argnums=(0, 1), has_aux=True)
-
-    def add(total: Any, part: Any) -> tuple[Any, Any]:
-        (value, arrays), (by_params, by_x) = run(params, *part)
-        return jax.tree.map(jnp.add, total, (value, by_params)), (arrays, by_x)
-
-    zeros = jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)
-    (value, by_params), (arrays, by_xs) = jax.lax.scan(add, zeros, tuple(parts))
-    change = optax.tree.vdot((by_params, by_xs), tangents[:2])
-    still = jax.tree.map(jnp.zeros_like, arrays)
-    return (value, arrays), (change, still)
 
 
 def draw_pixels(mask: Array, count: int, key: Array) -> tuple[Array, Array]:
