@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from small_networks import SMALL_OURS, lively_weights
 from test_surface_command import hemisphere
 
@@ -175,17 +176,42 @@ def read_ptm(path):
     return show
 
 
+def read_planes(folder):
+    """Likewise, as web viewers do."""
+    info = json.loads((folder / "info.json").read_text())
+    assert (info["type"], info["colorspace"], info["nplanes"]) == ("ptm", "rgb", 18)
+    (material,) = info["materials"]
+    planes = [Image.open(folder / f"plane_{index}.jpg") for index in range(6)]
+    assert all(plane.size == (info["width"], info["height"]) for plane in planes)
+
+    def show(x, y):
+        image = np.zeros((info["height"], info["width"], 3))
+        for index, term in enumerate((1, x, y, x * x, x * y, y * y)):
+            for color in range(3):
+                level = np.asarray(planes[index])[..., color] / 255
+                which = 3 * index + color
+                factor = material["scale"][which] * term
+                image[..., color] += (level - material["bias"][which]) * factor
+        return np.clip(image, 0, 1)
+
+    return show
+
+
 def test_the_texture_map_relights_like_the_photographs(tmp_path):
     images = photographs()
     lights = estimate_lights(images, NORMALS, MASK)
-    facts = ptm.write_ptm(tmp_path / "relight.ptm", images, MASK, lights)
-    show = read_ptm(tmp_path / "relight.ptm")
+    fit = ptm.fit_texture_map(images, MASK, lights)
+    facts = ptm.write_ptm(tmp_path / "relight.ptm", fit)
+    ptm.write_planes(tmp_path, fit)
+    show, web = read_ptm(tmp_path / "relight.ptm"), read_planes(tmp_path)
     expected = ptm.equalised(images, "linear", lights, facts["white"])
     error = []
     for image, (x, y, _) in zip(expected, lights.directions, strict=True):
         shown = show(x, y)
         assert (shown[~MASK] < 0.02).all()
         error.append(np.square(shown - image)[MASK].mean())
+        assert np.abs(web(x, y) - shown)[MASK].mean() < 0.01
+        assert web(x, y)[~MASK].mean() < 0.02  # JPEGs ring
     psnr = -10 * np.log10(np.mean(error))
     assert psnr == pytest.approx(facts["psnr_db"], abs=0.1) and psnr > 27
     # Moving the light to the right brightens what faces right; likewise upwards.
@@ -228,6 +254,7 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
     beyond = {
         *("lights.json", "lights.lp", "base_color.exr", "base_color.png"),
         *("relight.ptm", "confidence.exr", "confidence.png", "unreliable.png"),
+        *("info.json", *(f"plane_{index}.jpg" for index in range(6))),
     }
     assert beyond <= set(record["files"])
     assert record["rti"]["psnr_db"] > 20

@@ -19,9 +19,9 @@ def tool(monkeypatch):
 
 
 @pytest.fixture
-def measurements(monkeypatch):
+def readings(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "tools")
-    return runpy.run_path(str(ROOT / "tools" / "measurements.py"))
+    return runpy.run_path(str(ROOT / "tools" / "readings.py"))
 
 
 def test_page_and_readme_regenerate_byte_for_byte(tool):
@@ -81,8 +81,8 @@ def test_unknown_measurements_are_refused(tool, capsys):
     assert "--measure dmeo: expected some of held-out" in capsys.readouterr().err
 
 
-def test_commands_get_our_places(measurements, tmp_path, monkeypatch):
-    setting = measurements["Setting"](
+def test_commands_get_our_places(readings, tmp_path, monkeypatch):
+    setting = readings["Setting"](
         "w.safetensors", {"out": tmp_path, "data": tmp_path / "none"}
     )
     placed = setting._placed
@@ -93,8 +93,8 @@ def test_commands_get_our_places(measurements, tmp_path, monkeypatch):
         placed("data/x")
 
 
-def test_tables_of_evaluations_are_read_by_name(measurements, tmp_path, monkeypatch):
-    setting = measurements["Setting"]("tiny", {"out": tmp_path})
+def test_tables_of_evaluations_are_read_by_name(readings, tmp_path, monkeypatch):
+    setting = readings["Setting"]("tiny", {"out": tmp_path})
     monkeypatch.setattr(type(setting), "run", lambda *_: "")
     lit = ["directional", "environment", "mixed", "Mean", "Median", "Objects"]
     summary = [
@@ -125,18 +125,18 @@ def test_tables_of_evaluations_are_read_by_name(measurements, tmp_path, monkeypa
         named = {n: {"columns": c, "rows": r} for n, (c, r) in tables.items()}
         (place / "tables.json").write_text(json.dumps(named))
 
-    mini = measurements["_ps_wild"](setting, "", name="ps-wild-mini")
+    mini = readings["ps_wild"](setting, "", name="ps-wild-mini")
     assert mini["columns"] == ["", "directional", "environment", "mixed", "mean"]
     assert mini["rows"][0] == ["UniPS", 1.23, 2.0, 3.0, 2.08]
     assert mini["rows"][-1] == ["material: metal", 2.0, 4.0, 6.0, 4.0]
     assert [row[0] for row in mini["rows"]].count("UniPS") == 1
 
-    rows = {row[0]: row[1:] for row in measurements["_table8"](setting, "")["rows"]}
+    rows = {row[0]: row[1:] for row in readings["table8"](setting, "")["rows"]}
     assert rows["UniPS"] == [1.23, 2.0, 3.0, 2.08, "6 of 6", 15.1]
     assert rows["mpm †"] == [4.0, 5.0, 6.0, 5.0, "5 of 6", 31.37]
     assert rows["constant normal"][-1] is None
 
-    assert measurements["_diligent"](setting, "") == {
+    assert readings["diligent"](setting, "") == {
         "columns": ["", "ball", "mean"],
         "rows": [
             ["UniPS", 1.0, 1.5],
@@ -146,15 +146,15 @@ def test_tables_of_evaluations_are_read_by_name(measurements, tmp_path, monkeypa
     }
 
 
-def test_scores_of_scenes_are_read_by_number_of_images(measurements, monkeypatch):
-    setting = measurements["Setting"]("tiny", {})
+def test_scores_of_scenes_are_read_by_number_of_images(readings, monkeypatch):
+    setting = readings["Setting"]("tiny", {})
     lines = [
         {"images": n, "camera/perspective": 3.0 / n, "constant": 40.0, "mae": 8.0 / n}
         for n in (1, 4)
     ]
     printed = "\n".join(map(json.dumps, lines))
     monkeypatch.setattr(type(setting), "run", lambda *_: printed)
-    assert measurements["_validate"](setting, "") == {
+    assert readings["validate"](setting, "") == {
         "columns": ["", "1", "4"],
         "rows": [
             ["UniPS", 8.0, 2.0],
@@ -164,8 +164,8 @@ def test_scores_of_scenes_are_read_by_number_of_images(measurements, monkeypatch
     }
 
 
-def test_the_yardstick_is_averaged_over_objects(measurements, monkeypatch):
-    setting = measurements["Setting"]("tiny", {})
+def test_the_yardstick_is_averaged_over_objects(readings, monkeypatch):
+    setting = readings["Setting"]("tiny", {})
     found = {
         "diligent, 10 images": {
             "ball": {"w": 5.0, "c": 45.0},
@@ -173,6 +173,52 @@ def test_the_yardstick_is_averaged_over_objects(measurements, monkeypatch):
         }
     }
     monkeypatch.setattr(type(setting), "run", lambda *_: json.dumps(found))
-    assert measurements["_real"](setting, "")["rows"] == [
+    assert readings["real"](setting, "")["rows"] == [
         ["diligent, 10 images", 2, 6.5, 40.0]
     ]
+
+
+def test_a_command_is_run_once(readings, tmp_path, monkeypatch):
+    monkeypatch.setattr(readings["sys"], "executable", "echo")
+    setting = readings["Setting"]("tiny", {"out": tmp_path})
+    assert setting.run("python a.py") == "a.py\n"
+    monkeypatch.setattr(readings["sys"], "executable", "false")
+    assert setting.run("python a.py") == "a.py\n"
+    with pytest.raises(InputError, match=r"python b\.py: failed with status 1"):
+        setting.run("python b.py")
+
+
+def test_maps_are_read_by_source_and_kind(readings, monkeypatch):
+    setting = readings["Setting"]("tiny", {})
+    found = {
+        "scenes": {"all": {"objects": 2, "network": 3.0, "constant": 40.0}},
+        "set": {"all": {"objects": 1, "depth": 5.0}},
+    }
+    monkeypatch.setattr(type(setting), "run", lambda *_: json.dumps(found))
+    assert readings["maps"](setting, "", UniPS="network", a_floor="constant") == {
+        "columns": ["", "objects", "UniPS", "a floor"],
+        "rows": [["scenes: all", 2, 3.0, 40.0]],
+    }
+
+
+def test_what_confidence_is_worth_is_read_by_source(readings, monkeypatch):
+    setting = readings["Setting"]("tiny", {})
+    all_objects = {
+        "kept": [1.0, 0.5],
+        "error left": [8.0, 4.0],
+        "least possible": [8.0, 2.0],
+        "spread, error, share": [["0-1", 3.0, 0.25], ["1-180", None, 0.0]],
+    }
+    found = {"set": {"ball": {}, "all": all_objects}}
+    monkeypatch.setattr(type(setting), "run", lambda *_: json.dumps(found))
+    assert readings["kept"](setting, "") == {
+        "columns": ["", "100%", "50%"],
+        "rows": [["set", 8.0, 4.0], ["set: least possible", 8.0, 2.0]],
+    }
+    assert readings["by_spread"](setting, "") == {
+        "columns": ["", "0-1", "1-180"],
+        "rows": [
+            ["set: mean error", 3.0, None],
+            ["set: of the pixels", "25%", "0%"],
+        ],
+    }

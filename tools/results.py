@@ -18,7 +18,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from measurements import MEASUREMENTS, ROOT, Setting
+from measurements import MEASUREMENTS
+from readings import ROOT, Setting
 
 from unips_jax.console import command
 from unips_jax.errors import InputError

@@ -2,7 +2,7 @@
 
 --lights       lights.json, lights.lp
 --base-color   base_color.exr, base_color.png
---rti          relight.ptm
+--rti          relight.ptm; info.json, plane_0.jpg to plane_5.jpg
 --confidence   confidence.exr, confidence.png, unreliable.png
 """
 
@@ -108,7 +108,7 @@ def write_beyond(
     lights = beyond.lights
     if lights is not None:
         from unips_jax.lighting.files import write_base_color, write_lights
-        from unips_jax.lighting.ptm import write_ptm
+        from unips_jax.lighting.ptm import fit_texture_map, write_planes, write_ptm
 
         if options.lights:
             write_lights(folder, names, lights)
@@ -117,8 +117,9 @@ def write_beyond(
                 folder, images, normals, mask, lights, transfer=transfer
             )
         if options.rti:
-            path = folder / "relight.ptm"
-            facts["rti"] = write_ptm(path, images, mask, lights, transfer=transfer)
+            fit = fit_texture_map(images, mask, lights, transfer=transfer)
+            facts["rti"] = write_ptm(folder / "relight.ptm", fit)
+            write_planes(folder, fit)
     if beyond.confidence is not None:
         facts["confidence"] = write_confidence(folder, beyond.confidence, mask)
     return facts

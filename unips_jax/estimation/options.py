@@ -44,7 +44,8 @@ class FolderOptions:
         mesh: also write a mesh, and the depth.
         lights: also write each photograph's light, lights.json and lights.lp.
         base_color: also write base_color.exr and base_color.png, the albedo.
-        rti: also write relight.ptm, a polynomial texture map.
+        rti: also write a polynomial texture map, relight.ptm, and for web pages
+            info.json and plane_*.jpg.
         confidence: also write how far normals spread over halves of the photographs,
             confidence.exr and .png, and unreliable.png, a mask; triples the time.
         all: write all of these, the depth and a mesh (GLB).

@@ -22,7 +22,8 @@ _RESULTS = frozenset(
     "normals.png normals.npy normals.exr normals.mat sheet.png depth.exr depth.png "
     "height.png mesh.ply mesh.obj mesh.glb view.html lights.json lights.lp "
     "base_color.exr base_color.png relight.ptm confidence.exr confidence.png "
-    "unreliable.png".split()
+    "unreliable.png info.json plane_0.jpg plane_1.jpg plane_2.jpg plane_3.jpg "
+    "plane_4.jpg plane_5.jpg".split()
     + [RECORD]
 )
 # Names that say nothing of the results': those may be as long as names can be.

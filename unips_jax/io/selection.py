@@ -37,7 +37,7 @@ _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|
 _MAP_NAME = re.compile(
     # Such a word of its own.
     rf"\b(?:{_MAP_WORDS}|albedo|gt)\b|^shading\b|^sheet$|^height$"
-    r"|^confidence$|^unreliable$",
+    r"|^confidence$|^unreliable$|^plane [0-5]$",
     re.IGNORECASE,
 )
 _MAP_ONLY = re.compile(

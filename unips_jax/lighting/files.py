@@ -2,7 +2,7 @@
 
 lights.json       each photograph's light
 lights.lp         directions, as RTI software reads them
-relight.ptm       a polynomial texture map
+relight.ptm       a polynomial texture map; info.json and plane_*.jpg for web pages
 base_color.exr    linear, float32
 base_color.png    16 bits, sRGB
 """

@@ -5,21 +5,34 @@ and y. They are fitted to the photographs and their estimated directions: RTI wi
 sphere. Photographs are first brought to the same light by the estimated irradiance, and
 to display values (sRGB), since viewers show what the polynomial gives.
 
-Source: Malzbender, Gelb, Wolters, "Polynomial texture maps" (SIGGRAPH 2001); Malzbender
-and Gelb, "Polynomial Texture Map (.ptm) file format", version 1.2 (HP Laboratories,
-2001): text header, then for red, green and blue a block of six bytes a pixel, bottom
-row first; coefficient = (byte - bias) * scale.
+Written as one file, `.ptm`, and as pictures for web pages, as Relight writes and
+OpenLIME shows them.
+
+Sources: Malzbender, Gelb, Wolters, "Polynomial texture maps" (SIGGRAPH 2001);
+Malzbender and Gelb, "Polynomial Texture Map (.ptm) file format", version 1.2 (HP
+Laboratories, 2001): text header, then for red, green and blue a block of six bytes a
+pixel, bottom row first; coefficient = (byte - bias) * scale. Ponchio, Corsini,
+Scopigno, "A compact representation of relightable images for the web" (Web3D 2018), and
+the files that Relight writes: `info.json` and JPEGs, one for each coefficient, whose
+three colours are those of the picture; coefficient = (level - bias) * scale, levels and
+values from 0 to 1, in the order 1, x, y, x^2, x y, y^2.
 """
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import simplejpeg
 
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
 from unips_jax.lighting.lights import Lights, irradiance, strips
 
 _WHITE = 0.95  # what the brightest half a percent is brought to, linear
 _RIDGE = 1e-3  # for photographs that are few, or whose lights are alike
+_PLANES = (5, 3, 4, 0, 2, 1)  # Relight's terms among ours
+_JPEG_QUALITY = 95
 
 
 def basis(directions: np.ndarray) -> np.ndarray:
@@ -70,50 +83,96 @@ def facing(lights: Lights) -> np.ndarray:
     return np.maximum(every[np.arange(count), np.arange(count)], 1e-3)
 
 
-def write_ptm(
-    path: Path,
+class TextureMap(NamedTuple):
+    """A fit to photographs; its coefficients are computed as they are written.
+
+    Attributes:
+        images: `[N, H, W, 3]`, uint8, uint16 or float32.
+        mask: `[H, W]`, bool; what is outside is black.
+        lights: of the photographs.
+        transfer: how values encode light.
+        white: linear value, in even light, that is shown as 1.
+        matrix: see `fit_matrix`.
+        sample: `[P, 3, 6]`, coefficients of some pixels.
+    """
+
+    images: np.ndarray
+    mask: np.ndarray
+    lights: Lights
+    transfer: Transfer
+    white: float
+    matrix: np.ndarray
+    sample: np.ndarray
+
+    def strips(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
+        """Yields some rows, their mask, coefficients and the photographs' values."""
+        for part in strips(self.images):
+            inside = self.mask[part]
+            values = equalised(
+                self.images[:, part][:, inside], self.transfer, self.lights, self.white
+            )
+            yield part, inside, _coefficients(values, self.matrix), values
+
+    def levels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest of nearly all coefficients, and 0, `[3, 6]`."""
+        low, high = np.quantile(self.sample, [0.0005, 0.9995], axis=0)
+        return np.minimum(low, 0), np.maximum(high, 0)
+
+
+def fit_texture_map(
     images: np.ndarray,
     mask: np.ndarray,
     lights: Lights,
     *,
     transfer: Transfer = "linear",
-) -> dict[str, float]:
-    """Fits a polynomial texture map and writes it, `PTM_FORMAT_RGB`.
-
-    Memory beyond the photographs: 18 bytes a pixel.
+) -> TextureMap:
+    """Fits a polynomial texture map.
 
     Args:
-        path: where.
         images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        mask: `[H, W]`, bool; what is outside is black.
+        mask: `[H, W]`, bool; what is outside becomes black.
         lights: from `estimate_lights`.
         transfer: how values encode light.
-
-    Returns:
-        For the record: the white point, and how like the (equalised) photographs the
-        map as it is written looks, PSNR in dB over the mask.
     """
-    count, height, width, _ = images.shape
-    matrix = fit_matrix(lights.directions)
     rows, columns = np.nonzero(mask)
     pick = np.random.default_rng(0).permutation(rows.size)[:20000]
     some = images[:, rows[pick], columns[pick]]
     linear = as_linear(some, transfer) / facing(lights)[:, None]
     white = max(float(np.quantile(linear, 0.995)) / _WHITE, 1e-12)
+    matrix = fit_matrix(lights.directions)
     sample = _coefficients(equalised(some, transfer, lights, white), matrix)
-    scale, bias = _levels(sample)
+    return TextureMap(images, mask, lights, transfer, white, matrix, sample)
+
+
+def write_ptm(path: Path, fit: TextureMap) -> dict[str, float]:
+    """Writes a texture map as `PTM_FORMAT_RGB`.
+
+    Memory beyond the photographs: 18 bytes a pixel.
+
+    Args:
+        path: where.
+        fit: from `fit_texture_map`.
+
+    Returns:
+        For the record: the white point, and how like the (equalised) photographs the
+        map as it is written looks, PSNR in dB over the mask.
+    """
+    height, width = fit.mask.shape
+    low, high = fit.levels()
+    low, high = low.min(0) * 255, high.max(0) * 255
+    # As the header says them.
+    scale = np.array([float(f"{x:.8g}") for x in np.maximum(high - low, 1e-3) / 255])
+    bias = np.rint(-low / scale).astype(int)
     stored = np.zeros((3, height, width, 6), np.uint8)
     stored[:] = bias.astype(np.uint8)  # a polynomial of 0
-    error, terms = 0.0, basis(lights.directions)
-    for part in strips(images):
-        inside = mask[part]
-        values = equalised(images[:, part][:, inside], transfer, lights, white)
-        levels = _coefficients(values, matrix) / scale + bias  # [P, 3, 6]
-        levels = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    error, count, terms = 0.0, 0, basis(fit.lights.directions)
+    for part, inside, coefficients, values in fit.strips():
+        levels = _bytes(coefficients * 255 / scale + bias)  # [P, 3, 6]
         shown = ((levels - bias) * scale) @ terms.T / 255  # [P, 3, N]
         error += float(
             np.square(np.clip(shown, 0, 1) - values.transpose(1, 2, 0)).sum()
         )
+        count += values.size
         for color in range(3):
             stored[color, part][inside] = levels[:, color]
     header = (
@@ -124,19 +183,54 @@ def write_ptm(
         file.write(header.encode())
         for block in stored:
             file.write(np.ascontiguousarray(block[::-1]).tobytes())
-    mean = error / max(rows.size * count * 3, 1)
-    return {"white": white, "psnr_db": float(-10 * np.log10(max(mean, 1e-12)))}
+    mean = error / max(count, 1)
+    return {"white": fit.white, "psnr_db": float(-10 * np.log10(max(mean, 1e-12)))}
+
+
+def write_planes(folder: Path, fit: TextureMap) -> None:
+    """Writes a texture map as Relight does: `info.json`, `plane_0.jpg` to `_5.jpg`.
+
+    Memory beyond the photographs: 18 bytes a pixel.
+
+    Args:
+        folder: where; it exists.
+        fit: from `fit_texture_map`.
+    """
+    height, width = fit.mask.shape
+    low, high = (ends[:, _PLANES].T for ends in fit.levels())  # [6, 3]
+    scale = np.maximum(high - low, 1e-5)
+    bias = -low / scale
+    planes = np.empty((6, height, width, 3), np.uint8)
+    planes[:] = _bytes(255 * bias)[:, None, None]  # a polynomial of 0
+    for part, inside, coefficients, _ in fit.strips():
+        ordered = coefficients[..., _PLANES].transpose(2, 0, 1)  # [6, P, 3]
+        planes[:, part][:, inside] = _bytes(
+            255 * (ordered / scale[:, None] + bias[:, None])
+        )
+    for index, plane in enumerate(planes):
+        # A colour is a coefficient's: none has fewer pixels.
+        data = simplejpeg.encode_jpeg(
+            plane, quality=_JPEG_QUALITY, colorspace="RGB", colorsubsampling="444"
+        )
+        (folder / f"plane_{index}.jpg").write_bytes(data)
+    info = {
+        "width": width,
+        "height": height,
+        "format": "jpg",
+        "type": "ptm",
+        "colorspace": "rgb",
+        "lights": np.round(fit.lights.directions, 4).ravel().tolist(),
+        "nplanes": 18,
+        "quality": _JPEG_QUALITY,
+        "materials": [{"scale": scale.ravel().tolist(), "bias": bias.ravel().tolist()}],
+    }
+    (folder / "info.json").write_text(json.dumps(info, indent=1) + "\n")
 
 
 def _coefficients(values: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Of display values `[N, P, 3]`: `[P, 3, 6]`, for values up to 255."""
-    return np.einsum("kn,npc->pck", 255 * matrix, values)
+    """Of display values `[N, P, 3]`: `[P, 3, 6]`."""
+    return np.einsum("kn,npc->pck", matrix, values)
 
 
-def _levels(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scales and biases, `[6]`, for bytes that hold nearly all coefficients."""
-    low, high = np.quantile(coefficients, [0.0005, 0.9995], axis=(0, 1))
-    low, high = np.minimum(low, 0), np.maximum(high, 0)
-    # As the header says them.
-    scale = np.array([float(f"{x:.8g}") for x in np.maximum(high - low, 1e-3) / 255])
-    return scale, np.rint(-low / scale).astype(int)
+def _bytes(levels: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
