@@ -144,7 +144,8 @@ def main() -> None:
 
 
 def _order(kind: str) -> int:
-    return LIGHT_KINDS.index(kind) if kind in LIGHT_KINDS else len(LIGHT_KINDS)
+    last = len(LIGHT_KINDS) + (kind == _ALL)
+    return LIGHT_KINDS.index(kind) if kind in LIGHT_KINDS else last
 
 
 def _cases(options: Options) -> Iterator[Case]:

@@ -224,7 +224,7 @@ def write_planes(folder: Path, fit: TextureMap) -> None:
         "quality": _JPEG_QUALITY,
         "materials": [{"scale": scale.ravel().tolist(), "bias": bias.ravel().tolist()}],
     }
-    (folder / "info.json").write_text(json.dumps(info, indent=1) + "\n")
+    (folder / "info.json").write_text(json.dumps(info) + "\n")
 
 
 def _coefficients(values: np.ndarray, matrix: np.ndarray) -> np.ndarray:
