@@ -272,9 +272,7 @@ def _depths(case: Case, normals: np.ndarray) -> dict[str, float]:
     """Errors of depth, percent of the object's longer side."""
     if case.depth is None:
         return {}
-    integrate = functools.partial(
-        integrate_image, mask=case.inside, focal=case.focal or None
-    )
+    integrate = functools.partial(integrate_image, mask=case.inside, focal=case.focal)
     rows, columns = np.nonzero(case.inside)
     side = 1 + int(max(np.ptp(rows), np.ptp(columns)))
     surfaces = {
@@ -283,7 +281,7 @@ def _depths(case: Case, normals: np.ndarray) -> dict[str, float]:
         "plane": np.ones_like(case.depth),
         "half ball": _half_ball(case.inside),
     }
-    if case.focal:  # a half ball in pixels, at the distance that fits the frame
+    if case.focal:  # at the distance where a pixel is one unit wide
         surfaces["half ball"] += case.focal
     return {
         name: 100 * _depth_error(depth, case, side) for name, depth in surfaces.items()

@@ -124,7 +124,7 @@ def decode(
         maps: also give the maps of a network that has them.
 
     Returns:
-        Unit normals, `[P, 3]`; of two views the mean, mirrored back. With `maps` an
+        Unit normals, `[P, 3]`; of two views the mean, mirrored back. With `maps`
         `SurfaceMaps`.
     """
 
