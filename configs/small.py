@@ -1,15 +1,18 @@
-"""For one GPU, on scenes made on the device.
+r"""For one GPU, on scenes made on the device.
 
-    unips train --config configs/small.py --workdir runs/small
+    python tools/widen_weights.py tiny -o begin.safetensors
+    unips train --config configs/small.py --workdir runs/small \
+        --init-weights begin.safetensors
 
-What: 23.1 M parameters. Communication, ratios, observations, consensus, windows that
-cover as much of the object and mirrored images are those of `tiny`; what they gain at
-this size was not measured.
-Hardware: meant for one GPU. Time and score: none, it was not trained yet; twenty steps,
-with smaller batches, were seen to run on two CPU cores.
+What: 27 M parameters, `tiny` twice as wide and on larger images. Its run begins from
+the shipped `tiny`, widened, which is the same function. Scenes are those of `tiny`,
+larger, with more photographed environments, light that bounces from what is near,
+paint, and carvings.
+Hardware: one GPU.
 """
 
 from unips_jax.models.config import ModelConfig
+from unips_jax.scenes.config import SceneConfig
 from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
 
 
@@ -19,26 +22,41 @@ def get_config() -> Config:
         model=ModelConfig.small(),
         data=DataConfig(
             source="scenes",
-            image_size=128,
+            image_size=192,
             frame="mask",
             batch_size=32,
-            num_images=(2, 4, 8),
-            num_pixels=1024,
-            max_tokens=2048,
+            num_images=(3, 10, 10),
+            num_pixels=512,
+            max_tokens=4096,
             grid_loss=False,
             augment=False,
         ),
+        scenes=SceneConfig(
+            light_weights=(0.25, 0.34, 0.25, 0.08, 0.08),
+            shape_weights=(0.15, 0.2, 0.18, 0.14, 0.08, 0.14, 0.11),
+            material_weights=(0.1, 0.09, 0.09, 0.08, 0.08, 0.18, 0.14, 0.06, 0.1, 0.08),
+            rim_rate=0.6,
+            side_rate=0.15,
+            whole_frame_rate=0.1,
+            photograph_rate=0.3,
+            bounce_rate=0.6,
+            paint_rate=0.25,
+            carving_rate=0.3,
+        ),
         optim=OptimConfig(
             name="muon",
-            learning_rate=1e-3,
+            learning_rate=5e-4,
             schedule="cosine",
-            warmup_steps=500,
-            ema_decay=0.999,
+            warmup_steps=100,
+            ema_decay=0.995,
         ),
         train=TrainConfig(
-            steps=8000,
+            steps=4000,
+            seed=28,
             squared_loss=False,
-            checkpoint_every=500,
+            coarse_guess_weight=0.2,
+            lights_guess_weight=0.1,
+            checkpoint_every=400,
             validate_every=2000,
         ),
     )

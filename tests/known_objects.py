@@ -80,7 +80,7 @@ def look(
     distance=3.0,
     half=1.0,
     config=CONFIG,
-    backdrop=None,
+    **options,
 ):
     camera = tracing.Camera(
         jnp.float32(perspective), jnp.float32(distance), jnp.asarray([0.0, 0, half])
@@ -93,6 +93,6 @@ def look(
             camera,
             size=size,
             config=config,
-            backdrop=backdrop,
+            **options,
         )
     )(shape)

@@ -207,3 +207,36 @@ def test_bad_sizes_and_configurations_are_named():
         SceneConfig(blur_rate=2.0)
     with pytest.raises(ValueError, match="focal_range_mm"):
         SceneConfig(focal_range_mm=(50.0, 20.0))
+
+
+@pytest.mark.parametrize("finest", [4.0, 100.0])
+def test_carvings_stay_steep_however_coarse(finest):
+    shape = make_shape(balls=[((0, 0, 0), 0.9)])
+
+    @functools.partial(jax.vmap, in_axes=(0, None))
+    def carve(key, rate):
+        carved, hollow = geometry._carve(key, rate, shape, jnp.float32(finest))
+        return carved.detail, hollow
+
+    keys = jax.random.split(jax.random.key(0), 50)
+    detail, hollow = carve(keys, 1.0)
+    assert detail.frequency.max() <= finest and detail.frequency.min() >= 4
+    parts = (detail.noise, detail.groove, detail.ridge, detail.dimple, detail.weave)
+    slope = np.asarray(sum(abs(part) for part in parts) * detail.frequency)
+    slope = slope[slope > 0]  # three in ten are smooth
+    assert slope.size > 25 and slope.min() > 0.04 and 0.3 < slope.max() < 0.9
+    assert 0.1 <= hollow.min() < hollow.max() <= 0.6
+    detail, hollow = carve(keys, 0.0)
+    assert np.all(detail.frequency == shape.detail.frequency) and not hollow.any()
+
+
+def test_hollows_of_a_relief_are_darker():
+    shape = make_shape(balls=[((0, 0, 0), 0.9)], noise=0.02, frequency=4.0)
+    light, dark = look(shape), look(shape, hollow=0.5)
+    height, mask = np.asarray(light.height), np.asarray(light.mask)
+    low = mask & (height < -0.3)
+    seen, less = np.asarray(light.visibility), np.asarray(dark.visibility)
+    assert low.sum() > 20
+    np.testing.assert_array_equal(less[:, height > 0], seen[:, height > 0])
+    expected = seen[:, low] * (1 - 0.5 * np.minimum(-height[low], 1))
+    np.testing.assert_allclose(less[:, low], expected, rtol=1e-5, atol=1e-7)

@@ -44,6 +44,37 @@ def constant_environment(radiance):
     )
 
 
+def test_light_bounces_from_what_is_near(sphere):
+    mask = sphere.mask
+    side = jnp.arange(mask.shape[1]) < mask.shape[1] // 2
+    values = jnp.where(side, 1.0, 3.0) * jnp.ones(mask.shape)
+    near, far = (
+        np.asarray(shading._average(values.reshape(1, -1), mask, jnp.float32(reach)))
+        for reach in (0.05, 10.0)
+    )
+    row = near.reshape(mask.shape)[mask.shape[0] // 2]
+    np.testing.assert_allclose(row[[4, -5]], [1, 3], atol=1e-3)
+    assert np.all(np.diff(row) > -1e-4)
+    np.testing.assert_allclose(far, values[mask].mean(), rtol=1e-2)
+
+
+def test_bounced_light_is_the_mean_or_what_is_near(sphere):
+    surface, dark = matt(sphere), constant_environment(0.0)
+    hidden = sphere._replace(visibility=0.0 * sphere.visibility)
+    light = jnp.asarray([[1.0, 0, 0.3]])
+    keys = lights.KeyLights(light, jnp.zeros(1), jnp.zeros(1), jnp.ones((1, 3)))
+
+    def shine(near):
+        image = shading.radiance(hidden, surface, keys, dark, SceneConfig(), near)
+        return np.asarray(image)[0, 0].reshape(sphere.mask.shape)
+
+    same, mean, near = shine(None), shine(jnp.float32(0)), shine(jnp.float32(0.1))
+    np.testing.assert_allclose(mean, same, rtol=1e-6)
+    row = sphere.mask.shape[0] // 2
+    left, right = (near - mean)[row, 4], (near - mean)[row, -5]
+    assert left < -0.02 and right > 0.02  # the light comes from the right
+
+
 def directional(geometry_, surface, direction):
     direction = jnp.asarray(direction, jnp.float32)
     direction = direction / jnp.linalg.norm(direction)

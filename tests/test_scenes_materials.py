@@ -87,3 +87,20 @@ def test_only_rough_objects_are_lambertian(kind):
     share = {"fabric": 0.4, "uniform": 0.4 * 0.5 / 0.8, "metal": 0.4 * 0.1 / 0.48}
     assert np.mean(matt) == pytest.approx(share[kind], abs=0.08)
     assert np.min(roughness[matt]) > 0.3
+
+
+def test_paint_covers_some_of_some_surfaces():
+    point = tuple(jax.random.uniform(jax.random.key(9), (3, 4000), minval=-1))
+    bare = reflectance.Surface(
+        jnp.full((3, 4000), 0.5), jnp.full(4000, 0.5), jnp.ones(4000), jnp.float32(1)
+    )
+    keys = jax.random.split(jax.random.key(0), 40)
+    paint = jax.jit(jax.vmap(lambda key: materials.paint(key, 0.5, bare, point)))
+    painted = paint(keys)
+    share = np.mean(np.asarray(painted.metallic) < 0.5, axis=1)
+    assert 10 <= np.sum(share > 0) <= 30
+    assert 0.01 < np.median(share[share > 0]) < 0.6
+    covered = np.asarray(painted.metallic) == 0
+    for color, inside in zip(np.asarray(painted.base_color), covered, strict=True):
+        if inside.any():  # one paint each
+            assert np.ptp(color[:, inside], axis=1).max() < 1e-6

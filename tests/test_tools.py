@@ -10,11 +10,12 @@ import jax
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
-from small_networks import SMALL, SMALL_OURS
+from small_networks import SMALL, SMALL_OURS, lively_weights
 from test_baselines_gcnet import made_up
 from test_official_parity import official_arrays
 
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
+from unips_jax.models.network import Network, param_shapes
 from unips_jax.weights import load_weights, random_weights, save_weights, weights_record
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
@@ -227,3 +228,35 @@ def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
     lengths = np.linalg.norm(seen["directions"], axis=-1)
     np.testing.assert_allclose(lengths, np.ones(3), atol=1e-5)
     assert np.all(seen["directions"][:, 2] > 0) and np.all(seen["intensities"] > 0)
+
+
+def test_widened_networks_are_the_same_function():
+    widen = runpy.run_path(str(TOOLS / "widen_weights.py"))["widen"]
+    narrow = dataclasses.replace(SMALL_OURS, patch_channels=(4, 6))
+    twice = ("embed_dim", "context_dim", "hidden_dim", "aggregation_mlp_dim")
+    twice += ("pma_mlp_dim", "predictor_dim", "ratio_dim", "consensus_dim")
+    twice += ("observation_dim", "communication_heads", "aggregation_heads")
+    wide = dataclasses.replace(
+        narrow,
+        patch_channels=(8, 12),
+        num_heads=(4, 8),
+        **{name: 2 * getattr(narrow, name) for name in twice},
+    )
+    params = lively_weights(narrow)
+    # Of a pixel's three colours beside eight contexts, the first norm sees less.
+    first = params["decoder"]["aggregation"]["layer0"]
+    for name in ("query", "key", "value"):
+        first[name]["kernel"] = 0.0 * first[name]["kernel"]
+    made = widen(params, narrow.context_dim, narrow.window_size)
+    shapes = {name: x.shape for name, x in flatten_dict(made, sep=".").items()}
+    assert shapes == param_shapes(wide)
+    images = jax.random.uniform(jax.random.key(0), (3, 16, 16, 4))
+    pixels = jax.random.uniform(jax.random.key(1), (5, 3, 3))
+    places = jax.numpy.linspace(0.0, 3.0, 5)
+    inputs = images, pixels, places, places
+    expected = Network(narrow).apply({"params": params}, *inputs)
+    found = Network(wide).apply({"params": made}, *inputs)
+    np.testing.assert_allclose(found, expected, atol=2e-4)
+    # Twins are told apart: their rows differ.
+    kernel = made["decoder"]["prediction"]["fc1"]["kernel"]
+    assert np.abs(kernel[:12] - kernel[12:]).min() > 0

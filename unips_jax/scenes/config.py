@@ -47,6 +47,11 @@ class SceneConfig:
         photograph_rate: share of environments that are photographed, wholly or in part.
         whole_frame_rate: share, among objects other than reliefs and plates, of those
             on a table or before a wall, where the mask is everything.
+        bounce_rate: share of scenes where the object's own light comes from what is
+            near in the image; elsewhere it is the same everywhere.
+        paint_rate: share of scenes with spots or lines of another paint, sharply cut.
+        carving_rate: share of scenes with a relief that is finer and steeper, and
+            darker in its hollows.
     """
 
     light_weights: tuple[float, ...] = (0.3, 0.25, 0.25, 0.1, 0.1)
@@ -72,6 +77,9 @@ class SceneConfig:
     side_rate: float = 0.0
     photograph_rate: float = 0.0
     whole_frame_rate: float = 0.0
+    bounce_rate: float = 0.0
+    paint_rate: float = 0.0
+    carving_rate: float = 0.0
 
     def __post_init__(self) -> None:
         """Checks every field.
@@ -95,6 +103,7 @@ class SceneConfig:
             *("perspective_rate", "linear_rate", "noise_rate", "blur_rate"),
             *("mask_error_rate", "eight_bit_rate", "spare_rate"),
             *("rim_rate", "side_rate", "photograph_rate", "whole_frame_rate"),
+            *("bounce_rate", "paint_rate", "carving_rate"),
         ):
             rate = getattr(self, name)
             require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")

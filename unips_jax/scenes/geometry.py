@@ -23,7 +23,7 @@ from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.grids import pick, pixel_grid, spread
 from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.sdf import Shape, detail, without_cuts
-from unips_jax.scenes.shapes import draw_shape, is_flat
+from unips_jax.scenes.shapes import draw_detail, draw_shape, is_flat
 from unips_jax.scenes.tracing import (
     Camera,
     along,
@@ -246,10 +246,14 @@ def _visible_surface(
     return mask, point, normal, view, height  # type: ignore[return-value]
 
 
+def _finest(shape: Shape, camera: Camera, size: int) -> Array:
+    """The frequency of a relief whose cells are nine pixels wide."""
+    return size / (2 * camera.window[2] * 9 * shape.radius)
+
+
 def _resolve_detail(shape: Shape, camera: Camera, size: int) -> Shape:
     """Keeps the finest cells wider than nine pixels."""
-    limit = size / (2 * camera.window[2] * 9 * shape.radius)
-    frequency = jnp.minimum(shape.detail.frequency, limit)
+    frequency = jnp.minimum(shape.detail.frequency, _finest(shape, camera, size))
     return shape._replace(detail=shape.detail._replace(frequency=frequency))
 
 
@@ -290,13 +294,40 @@ def render_geometry(
         draws = Draws(jax.random.fold_in(key, 1), 32)
         backdrop = draw_backdrop(draws, config.whole_frame_rate, ~is_flat(kind))
         view = view._replace(window=widen_window(draws, backdrop, view.window))
+    hollow = None
+    if config.carving_rate:
+        key_carving = jax.random.fold_in(key, 2)
+        finest = _finest(solid, view, size)
+        solid, hollow = _carve(key_carving, config.carving_rate, solid, finest)
     return finish_geometry(
         *(key_basis, solid, pose, view),
         size=size,
         config=config,
         entropy=entropy,
         backdrop=backdrop,
+        hollow=hollow,
     )
+
+
+def _carve(key: Array, rate: float, shape: Shape, finest: Array) -> tuple[Shape, Array]:
+    """A finer and steeper relief for some, and how dark its hollows are.
+
+    However coarse it has to be, for its cells to be seen, it stays as steep.
+    """
+    key_rest, key_draws, key_seed = jax.random.split(key, 3)
+    rest = Draws(key_rest, 2)
+    carved = rest.chance(rate)
+    new = draw_detail(
+        Draws(key_draws, 32), key_seed, shape.kind, (6.0, 30.0), (0.2, 0.7)
+    )
+    coarser = jnp.maximum(new.frequency / finest, 1.0)
+    amplitudes = ("noise", "groove", "ridge", "dimple", "weave")
+    new = new._replace(
+        frequency=new.frequency / coarser,
+        **{name: getattr(new, name) * coarser for name in amplitudes},
+    )
+    detail = jax.tree.map(lambda a, b: jnp.where(carved, a, b), new, shape.detail)
+    return shape._replace(detail=detail), carved * rest.uniform(0.1, 0.6)
 
 
 def finish_geometry(
@@ -309,6 +340,7 @@ def finish_geometry(
     config: SceneConfig,
     entropy: Array | float = 0.0,
     backdrop: Backdrop | None = None,
+    hollow: Array | float | None = None,
 ) -> Geometry:
     """Finds what a camera sees of a given shape.
 
@@ -321,6 +353,8 @@ def finish_geometry(
         config: the distribution of scenes.
         entropy: stored in the result.
         backdrop: table and wall.
+        hollow: how much of its surroundings the bottom of the fine relief does not
+            see; None: it sees all.
     """
     to_object = shape.radius * pose.T
     shape = _resolve_detail(shape, camera, size)
@@ -354,13 +388,16 @@ def finish_geometry(
     detail_ = shape.detail
     amplitude = detail_.noise + detail_.groove + detail_.ridge + detail_.weave
     amplitude = amplitude + jnp.abs(detail_.dimple) + 1e-6
+    height = relief / amplitude
+    if hollow is not None:
+        visibility = visibility * (1 - hollow * jnp.clip(-height, 0.0, 1.0))
     focal = 18 * camera.distance / camera.window[2]
     return Geometry(
         mask=mask,
         normals=jnp.where(mask[..., None], fields[..., 3:6], 0.0),
         positions=fields[..., :3],
         view=fields[..., 6:9],
-        height=relief / amplitude,
+        height=height,
         directions=directions,
         visibility=visibility,
         shape=shape,

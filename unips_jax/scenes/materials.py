@@ -80,6 +80,33 @@ def _pattern(
     return value, slow  # type: ignore[return-value]
 
 
+def paint(key: Array, rate: float, surface: Surface, point: Point) -> Surface:
+    """Paints spots or lines of another colour and gloss over a surface, or does not.
+
+    Args:
+        key: a random key.
+        rate: the chance of it.
+        surface: what is painted.
+        point: as in `draw_surface`.
+    """
+    key_draws, key_seed = jax.random.split(key)
+    draws = Draws(key_draws, 32)
+    seed = jax.random.bits(key_seed, (), jnp.uint32) >> 1
+    scale = draws.log_uniform(1.5, 10.0)
+    value = gradient_noise(seed, tuple(c * scale for c in point))  # type: ignore[arg-type]
+    spots = value - draws.uniform(0.1, 0.4)
+    lines = draws.uniform(0.02, 0.08) - jnp.abs(value)
+    inside = jnp.where(draws.chance(0.6), spots, lines)
+    share = jnp.clip(inside * 60 / scale + 0.5, 0.0, 1.0) * draws.chance(rate)
+    color = _color(draws, draws.log_uniform(0.02, 0.9), draws.uniform(0.0, 0.7))
+    return surface._replace(
+        base_color=surface.base_color + share * (color[:, None] - surface.base_color),
+        roughness=surface.roughness
+        + share * (draws.uniform(0.1, 1.0) - surface.roughness),
+        metallic=surface.metallic * (1 - share),
+    )
+
+
 def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surface:
     """Draws a material and evaluates it.
 

@@ -12,7 +12,7 @@ from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.geometry import Geometry, render_geometry
 from unips_jax.scenes.lights import draw_lights, draw_sides
-from unips_jax.scenes.materials import draw_surface
+from unips_jax.scenes.materials import draw_surface, paint
 from unips_jax.scenes.noise import normalize
 from unips_jax.scenes.rims import extend
 from unips_jax.scenes.sensor import record
@@ -91,7 +91,13 @@ def shade(
     inverse = 1 / shape.radius
     local = (local[0] * inverse, local[1] * inverse, local[2] * inverse)
     surface = draw_surface(key_surface, matter, local, geometry.height.reshape(-1))
-    sides = None
+    if config.paint_rate:
+        key_paint = jax.random.fold_in(key_surface, 2)
+        surface = paint(key_paint, config.paint_rate, surface, local)
+    sides = near = None
+    if config.bounce_rate:
+        draws = Draws(jax.random.fold_in(key_lights, 3), 2)
+        near = draws.chance(config.bounce_rate) * draws.log_uniform(0.02, 0.12)
     if config.side_rate:
         sides = draw_sides(Draws(jax.random.fold_in(key_lights, 1), 8), config)
     photographs = None
@@ -108,7 +114,7 @@ def shade(
         ground = geometry.ground.reshape(-1)
         surface = jax.tree.map(lambda a, b: jnp.where(ground, a, b), around, surface)
         keys = keys._replace(vector=above(geometry.backdrop, keys.vector))
-    linear = radiance(geometry, surface, keys, environment, config)
+    linear = radiance(geometry, surface, keys, environment, config, near)
     linear = linear.reshape(num_images, 3, *geometry.mask.shape)
     images, mask, gain = record(key_sensor, linear, geometry.mask, config)
     normals = jnp.moveaxis(geometry.normals, -1, 0)
@@ -164,17 +170,19 @@ def render_scene(
         ValueError: if `size` is not a multiple of 4.
     """
     key_geometry, key_shade = jax.random.split(key)
-    geometry = render_geometry(
-        key_geometry, size=size, config=config, shape=shape, camera=camera
-    )
-    return shade(
-        key_shade,
-        geometry,
-        num_images=num_images,
-        config=config,
-        light_kind=light_kind,
-        material=material,
-    )
+    # GPUs would round places and colours to 10 bits of mantissa in products.
+    with jax.default_matmul_precision("float32"):
+        geometry = render_geometry(
+            key_geometry, size=size, config=config, shape=shape, camera=camera
+        )
+        return shade(
+            key_shade,
+            geometry,
+            num_images=num_images,
+            config=config,
+            light_kind=light_kind,
+            material=material,
+        )
 
 
 @functools.partial(jax.jit, static_argnames=("size", "num_images", "config"))

@@ -177,8 +177,19 @@ def radiance(
     keys: KeyLights,
     environment: Environment,
     config: SceneConfig,
+    near: Array | None = None,
 ) -> Array:
-    """Linear radiance of every image, `[N, 3, P]`."""
+    """Linear radiance of every image, `[N, 3, P]`.
+
+    Args:
+        geometry: the object.
+        surface: its reflectance.
+        keys: N key lights.
+        environment: N rotations of it.
+        config: whether light bounces.
+        near: how far it comes, in image sides, of scenes where light bounces from what
+            is near; 0 where the object's mean takes its place; None: so for all.
+    """
     clear = jax.vmap(lambda *light: key_clearance(geometry, *light))(
         keys.vector, keys.near
     )
@@ -195,5 +206,20 @@ def radiance(
     around, hidden = shade_environment(geometry, surface, environment)
     total = direct + around
     # In a hollow, about half of what leaves the surface meets it again.
-    own = jnp.sum(total * mask, -1) / area / (1 - 0.5 * albedo)
-    return total + config.interreflection * hidden * own[..., None]
+    own = jnp.sum(total * mask, -1, keepdims=True) / area
+    if near is not None:
+        around = _average(total, geometry.mask, jnp.maximum(near, 0.01))
+        own = jnp.where(near > 0, around, own)
+    own = own / (1 - 0.5 * albedo)[:, None]
+    return total + config.interreflection * hidden * own
+
+
+def _average(values: Array, mask: Array, reach: Array) -> Array:
+    """Gaussian means of `[..., P]` inside the mask, `reach` image sides wide."""
+    index = jnp.arange(mask.shape[0], dtype=jnp.float32)
+    away = (index[:, None] - index) / (reach * mask.shape[0])
+    band = jnp.exp(-0.5 * away * away)
+    weight = mask.astype(jnp.float32)
+    sums = band @ (values.reshape(*values.shape[:-1], *mask.shape) * weight) @ band
+    means = sums / jnp.maximum(band @ weight @ band, 1e-3)
+    return means.reshape(values.shape)

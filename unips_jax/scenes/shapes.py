@@ -270,9 +270,24 @@ def _bounding_sphere(
     return middle, radius
 
 
-def _detail(draws: Draws, key: Array, kind: Array) -> Detail:
-    frequency = draws.log_uniform(4.0, 14.0)
-    slope = draws.log_uniform(0.04, 0.5)
+def draw_detail(
+    draws: Draws,
+    key: Array,
+    kind: Array,
+    frequencies: tuple[float, float] = (4.0, 14.0),
+    slopes: tuple[float, float] = (0.04, 0.5),
+) -> Detail:
+    """Draws a fine relief.
+
+    Args:
+        draws: at least 14 numbers.
+        key: for the noise.
+        kind: index into `SHAPE_KINDS`.
+        frequencies: least and greatest, in cells per unit of length.
+        slopes: least and greatest.
+    """
+    frequency = draws.log_uniform(*frequencies)
+    slope = draws.log_uniform(*slopes)
     pattern = draws.choice([0.45, 0.12, 0.12, 0.12, 0.12])
     wavy = draws.chance(0.6)
     flat = draws.chance(jnp.where(is_flat(kind), 0.1, 0.3))
@@ -372,7 +387,7 @@ def draw_shape(key: Array, kind: Array) -> Shape:
             * jnp.sqrt(1 + 0.5 * twisting**2)
             * jnp.sqrt(1 + 0.25 * tapering**2)
         ),
-        detail=_detail(Draws(key_detail, 32), key_seed, kind),
+        detail=draw_detail(Draws(key_detail, 32), key_seed, kind),
         center=center,
         radius=radius + jnp.sum(amplitude),
         kind=kind,
