@@ -42,6 +42,12 @@ README_ROWS = (
         "ps-wild-mini",
         ("directional", "environment", "mixed"),
     ),
+    (
+        "Ten meshes by others, likewise, in photographed environments",
+        10,
+        "ps-wild-real",
+        ("directional", "environment", "mixed"),
+    ),
     ("`unips demo`, one more", 8, "demo", ("8",)),
     ("256 held-out scenes, all lights and materials", 8, "held-out", ("8",)),
     ("The same, from one image", 1, "held-out", ("1",)),

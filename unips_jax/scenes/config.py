@@ -49,7 +49,7 @@ class SceneConfig:
             on a table or before a wall, where the mask is everything.
         bounce_rate: share of scenes where the object's own light comes from what is
             near in the image; elsewhere it is the same everywhere.
-        paint_rate: share of scenes with spots or lines of another paint, sharply cut.
+        paint_rate: share of scenes with spots, lines or bands of another paint.
         carving_rate: share of scenes with a relief that is finer and steeper, and
             darker in its hollows.
     """

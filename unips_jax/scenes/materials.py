@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from unips_jax.lighting.reflectance import Surface
 from unips_jax.scenes.draws import Draws
-from unips_jax.scenes.noise import Point, gradient_noise, rotate, sine
+from unips_jax.scenes.noise import Point, dot, gradient_noise, rotate, sine
 
 # Rows: MATERIALS. Columns: weight of noise, rings, tiles, weave, spots; scale low and
 # high; contrast; saturation; value low and high; roughness low and high; chance that
@@ -81,7 +81,7 @@ def _pattern(
 
 
 def paint(key: Array, rate: float, surface: Surface, point: Point) -> Surface:
-    """Paints spots or lines of another colour and gloss over a surface, or does not.
+    """Paints spots, lines or bands of another colour and gloss, or does not.
 
     Args:
         key: a random key.
@@ -96,8 +96,12 @@ def paint(key: Array, rate: float, surface: Surface, point: Point) -> Surface:
     value = gradient_noise(seed, tuple(c * scale for c in point))  # type: ignore[arg-type]
     spots = value - draws.uniform(0.1, 0.4)
     lines = draws.uniform(0.02, 0.08) - jnp.abs(value)
-    inside = jnp.where(draws.chance(0.6), spots, lines)
-    share = jnp.clip(inside * 60 / scale + 0.5, 0.0, 1.0) * draws.chance(rate)
+    along = dot(tuple(draws.direction()), point) * scale  # type: ignore[arg-type]
+    bands = draws.uniform(-0.2, 0.2) + 0.5 * sine(along + value)
+    kind = draws.choice([0.4, 0.3, 0.3])
+    inside = jnp.where(kind == 0, spots, jnp.where(kind == 1, lines, bands))
+    sharpness = draws.log_uniform(8.0, 60.0) / scale
+    share = jnp.clip(inside * sharpness + 0.5, 0.0, 1.0) * draws.chance(rate)
     color = _color(draws, draws.log_uniform(0.02, 0.9), draws.uniform(0.0, 0.7))
     return surface._replace(
         base_color=surface.base_color + share * (color[:, None] - surface.base_color),
