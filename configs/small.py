@@ -13,6 +13,8 @@ smaller batches were seen to run on two CPU cores. Before a step, the widened `t
 7.3 degrees on photographs of DiLiGenT's four objects with 10 images, `tiny` likewise.
 """
 
+import dataclasses
+
 from unips_jax.models.config import ModelConfig
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
@@ -21,7 +23,7 @@ from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConf
 def get_config() -> Config:
     """The configuration."""
     return Config(
-        model=ModelConfig.small(),
+        model=dataclasses.replace(ModelConfig.small(), dtype="bfloat16"),
         data=DataConfig(
             source="scenes",
             image_size=192,
