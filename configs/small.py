@@ -5,8 +5,8 @@ r"""For one GPU, on scenes made on the device.
         --init-weights begin.safetensors
 
 What: 27 M parameters, `tiny` twice as wide and on larger images. Its run begins from
-the shipped `tiny`, widened, which is the same function. Scenes are those of `tiny`,
-larger, with more photographed environments, light that bounces from what is near,
+the shipped `tiny`, widened, which is almost the same function. Scenes are those of
+`tiny`, larger, with photographed environments, light that bounces from what is near,
 paint, and carvings.
 Hardware: meant for one GPU. Time and score: none, it was not trained yet; steps of
 smaller batches were seen to run on two CPU cores. Before a step, the widened `tiny` has

@@ -10,7 +10,15 @@ from known_objects import look, make_shape, profile
 from scipy import ndimage
 
 from unips_jax.metrics import angular_error_deg
-from unips_jax.scenes import SHAPE_KINDS, SceneConfig, geometry, grids, sdf, shapes
+from unips_jax.scenes import (
+    SHAPE_KINDS,
+    SceneConfig,
+    geometry,
+    grids,
+    poses,
+    sdf,
+    shapes,
+)
 
 
 @pytest.fixture(scope="module")
@@ -173,12 +181,12 @@ def test_perspective_points_project_to_their_pixels():
 def test_entropy_of_known_maps():
     mask = jnp.ones((16, 16))
     plane = jnp.broadcast_to(jnp.asarray([0.0, 0, 1]), (16, 16, 3))
-    assert float(geometry.normal_entropy_bits(plane, mask)) == 0
+    assert float(poses.normal_entropy_bits(plane, mask)) == 0
     centers = (np.arange(16) + 0.5) / 8 - 1
     every = np.stack([*np.meshgrid(centers, centers), np.ones((16, 16))], -1)
-    entropy = geometry.normal_entropy_bits(jnp.asarray(every, jnp.float32), mask)
+    entropy = poses.normal_entropy_bits(jnp.asarray(every, jnp.float32), mask)
     assert float(entropy) == pytest.approx(8.0, abs=1e-4)
-    assert float(geometry.normal_entropy_bits(plane, 0 * mask)) == 0
+    assert float(poses.normal_entropy_bits(plane, 0 * mask)) == 0
 
 
 def test_pick_and_spread_ignore_what_is_not_masked():

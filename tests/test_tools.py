@@ -260,3 +260,13 @@ def test_widened_networks_are_the_same_function():
     # Twins are told apart: their rows differ.
     kernel = made["decoder"]["prediction"]["fc1"]["kernel"]
     assert np.abs(kernel[:12] - kernel[12:]).min() > 0
+
+
+def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
+    main = runpy.run_path(str(TOOLS / "widen_weights.py"))["main"]
+    save_weights(tmp_path / "own.safetensors", SMALL_OURS, lively_weights(SMALL_OURS))
+    output = tmp_path / "wide.safetensors"
+    assert main([str(tmp_path / "own.safetensors"), "-o", str(output)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "half as wide as `small`" in error
+    assert not output.exists()

@@ -34,7 +34,7 @@ _SPREAD = 0.5
 Part = tuple[int, bool]
 
 
-def parts_in(layer: str, size: int, width: int) -> list[Part]:
+def _parts_in(layer: str, size: int, width: int) -> list[Part]:
     """What an input's channels are made of: pixels' values, or features in rows.
 
     Args:
@@ -58,7 +58,7 @@ def parts_in(layer: str, size: int, width: int) -> list[Part]:
     return [(size, True)]
 
 
-def parts_out(layer: str, size: int) -> list[Part]:
+def _parts_out(layer: str, size: int) -> list[Part]:
     """What an output's channels are made of."""
     name = layer.rsplit(".", 1)[-1]
     if name in ("normals", "lights") or layer.endswith("prediction.fc2"):
@@ -78,10 +78,20 @@ def _index(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(index), np.concatenate(sign)
 
 
-def widen_kernel(
-    kernel: np.ndarray, rows: Sequence[Part], columns: Sequence[Part], random
+def _widen_kernel(
+    kernel: np.ndarray,
+    rows: Sequence[Part],
+    columns: Sequence[Part],
+    random: np.random.Generator,
 ) -> np.ndarray:
-    """A kernel `[..., in, out]` between doubled channels."""
+    """A kernel `[..., in, out]` between doubled channels, `[..., 2 in, 2 out]`.
+
+    Args:
+        kernel: of the narrow network.
+        rows: what its inputs are made of; those that do not double keep their rows.
+        columns: likewise its outputs.
+        random: tells the rows of equal channels apart.
+    """
     narrow, sign = _index(rows)
     column, _ = _index(columns)
     share = np.where(sign == 0, 1.0, 0.5)[:, None]
@@ -108,16 +118,10 @@ def widen(params: Params, width: int, window: int, seed: int = 0) -> Params:
     return unflatten_dict(wide, sep=".")
 
 
-def _widen(name: str, value: np.ndarray, width: int, window: int, random) -> np.ndarray:
-    """One parameter of the wide network.
-
-    Args:
-        name: its path.
-        value: of the narrow one.
-        width: channels of the narrow contexts.
-        window: the wide network's window size.
-        random: a NumPy generator.
-    """
+def _widen(
+    name: str, value: np.ndarray, width: int, window: int, random: np.random.Generator
+) -> np.ndarray:
+    """One parameter of the wide network; `name` is its path, `value` the narrow one."""
     layer, kind = name.rsplit(".", 1)
     if kind == "relative_position_bias_table":
         side = int(value.shape[0] ** 0.5)
@@ -125,12 +129,11 @@ def _widen(name: str, value: np.ndarray, width: int, window: int, random) -> np.
         square = cv2.resize(value.reshape(side, side, -1), size)
         return np.tile(square.reshape(-1, value.shape[1]), 2)
     if kind == "kernel":
-        rows = parts_in(layer, value.shape[-2], width)
-        return widen_kernel(value, rows, parts_out(layer, value.shape[-1]), random)
-    norm = layer.rsplit(".", 1)[-1].startswith("norm")
-    own = parts_in if norm and not layer.endswith("normals") else None
-    size = value.shape[-1]
-    parts = own(layer, size, width) if own else parts_out(layer, size)
+        rows = _parts_in(layer, value.shape[-2], width)
+        return _widen_kernel(value, rows, _parts_out(layer, value.shape[-1]), random)
+    size, name = value.shape[-1], layer.rsplit(".", 1)[-1]
+    norm = name.startswith("norm") and name != "normals"
+    parts = _parts_in(layer, size, width) if norm else _parts_out(layer, size)
     return value[..., _index(parts)[0]]
 
 

@@ -35,7 +35,7 @@ class Settings:
         samples: paths per pixel.
         denoise: with Open Image Denoise.
         perspective: share of objects seen in perspective, 35 mm to 200 mm equivalents.
-        min_entropy_bits: of the normals; see `scenes.geometry.normal_entropy_bits`.
+        min_entropy_bits: of the normals; see `scenes.poses.normal_entropy_bits`.
         training: files as in PS-Wild's training set, `00.tif` (`000.tif` of more than
             10), instead of `L_00.png`.
         environments: files; drawn ones if empty.
@@ -112,7 +112,7 @@ def entropy_bits(truth: Truth) -> float:
     """Entropy of an object's normals."""
     import jax.numpy as jnp
 
-    from unips_jax.scenes.geometry import normal_entropy_bits
+    from unips_jax.scenes.poses import normal_entropy_bits
 
     normals, mask = jnp.asarray(truth.normals), jnp.asarray(truth.mask)
     return float(normal_entropy_bits(normals, mask))

@@ -27,7 +27,7 @@ class SceneConfig:
             cropped to the object, which multiplies them by about 1.3.
         rotation_candidates: rotations tried for one shape; the first whose normals
             have an entropy above `min_entropy_bits` is taken.
-        min_entropy_bits: see `geometry.normal_entropy_bits`.
+        min_entropy_bits: see `poses.normal_entropy_bits`.
         num_directions: directions in which visibility is tabulated for environments.
         interreflection: whether the object's own light, its mean radiance, reaches it
             from where it hides its surroundings.

@@ -1,4 +1,4 @@
-"""Geometry of a scene: camera, visible surface, normals, visibility of the sky.
+"""Geometry of a scene: visible surface, normals, visibility of the sky.
 
 Rays are sphere-traced through the signed distance. Normals are its derivative, plus
 that of the fine relief, which tilts normals but is too low to move what is seen.
@@ -19,10 +19,11 @@ from unips_jax.scenes.backdrop import (
     widen_window,
 )
 from unips_jax.scenes.config import SceneConfig
-from unips_jax.scenes.draws import Draws, rotation_about
+from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.grids import pick, pixel_grid, spread
 from unips_jax.scenes.noise import Point, dot, normalize
-from unips_jax.scenes.sdf import Shape, detail, without_cuts
+from unips_jax.scenes.poses import draw_camera, pose_and_frame
+from unips_jax.scenes.sdf import Shape, detail
 from unips_jax.scenes.shapes import draw_detail, draw_shape, is_flat
 from unips_jax.scenes.tracing import (
     Camera,
@@ -33,14 +34,10 @@ from unips_jax.scenes.tracing import (
     gradient,
     object_point,
     soft_visibility,
-    sphere_interval,
-    trace,
     world_distance,
 )
 
-CANDIDATE_SIZE = 20
 SKY_STRIDE = 4
-_HISTOGRAM_BINS = 16
 
 
 class Geometry(NamedTuple):
@@ -77,103 +74,6 @@ class Geometry(NamedTuple):
     entropy: Array
     backdrop: Backdrop | None = None
     ground: Array | None = None
-
-
-def normal_entropy_bits(normals: Array, mask: Array) -> Array:
-    """Shannon entropy of a normal map.
-
-    The histogram has 16 x 16 bins over (n_x, n_y) in [-1, 1]^2 (the visible
-    hemisphere seen from the front); every masked pixel counts once. A sphere that
-    fills a 24 x 24 frame has about 7.3 bits, a plane 0.
-
-    Source: UniPS (Ikehata, CVPR 2022), Sec. 3, which keeps objects above 4 without
-    saying how the histogram is made.
-
-    Args:
-        normals: `[..., 3]`, unit.
-        mask: `[...]`.
-
-    Returns:
-        Bits, a scalar; 0 for an empty mask.
-    """
-    bins = jnp.arange(_HISTOGRAM_BINS)
-    index = jnp.floor((normals[..., :2].reshape(-1, 2) + 1) * (_HISTOGRAM_BINS / 2))
-    index = jnp.clip(index, 0, _HISTOGRAM_BINS - 1)
-    one_hot = (index[..., None] == bins).astype(jnp.float32)  # [P, 2, bins]
-    weight = mask.reshape(-1, 1).astype(jnp.float32)
-    counts = (one_hot[:, 0] * weight).T @ one_hot[:, 1]
-    p = counts / jnp.maximum(jnp.sum(weight), 1.0)
-    return -jnp.sum(jnp.where(p > 0, p * jnp.log2(jnp.maximum(p, 1e-12)), 0.0))
-
-
-def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array, Array]:
-    """A small view: entropy, frame around the silhouette, whether there is one."""
-    to_object = shape.radius * pose.T
-    u, v = pixel_grid(CANDIDATE_SIZE)
-    rays = camera_rays(camera, u, v)
-    near, _ = sphere_interval(*rays)
-    t, last = trace(shape, to_object, rays, near, 1 / CANDIDATE_SIZE, 10)
-    point = along(*rays, t)
-    hit = last < 0.7 / CANDIDATE_SIZE
-    # Where cuts left nothing, rays come near, but not this near.
-    seen = jnp.any(world_distance(shape, to_object, point) < 1e-3)
-    slope = gradient(lambda p: world_distance(shape, to_object, p), point)
-    normals = jnp.stack(normalize(slope), -1)
-    margin = 0.7 / CANDIDATE_SIZE
-    bounds = [
-        (jnp.min(jnp.where(hit, c, 1.0)), jnp.max(jnp.where(hit, c, -1.0)))
-        for c in (u, v)
-    ]
-    (left, right), (low, high) = bounds
-    half = 0.5 * jnp.maximum(right - left, high - low) + margin
-    frame = jnp.stack([0.5 * (left + right), 0.5 * (low + high), half])
-    frame = jnp.where(seen, frame, jnp.asarray([0.0, 0.0, 1.0]))
-    return normal_entropy_bits(normals, hit), frame, seen
-
-
-def _draw_camera(draws: Draws, config: SceneConfig, perspective: Array) -> Camera:
-    focal = draws.log_uniform(*config.focal_range_mm)
-    return Camera(
-        perspective=perspective.astype(jnp.float32),
-        distance=jnp.sqrt(1 + (focal / 18) ** 2),
-        window=jnp.asarray([0.0, 0.0, 1.0]),
-    )
-
-
-def _pose_and_frame(
-    draws: Draws, config: SceneConfig, shape: Shape, camera: Camera
-) -> tuple[Shape, Array, Camera, Array]:
-    """Draws rotations, takes the first of sufficient entropy, crops the frame.
-
-    Of one object in a thousand the cuts leave nothing: these lose their cuts.
-    """
-    count = config.rotation_candidates
-    free = draws.rotation(count)
-    tilt = draws.uniform(-0.5, 0.5, 2, count)
-    spin = rotation_about(2, draws.uniform(-math.pi, math.pi, count))
-    facing = rotation_about(0, tilt[0]) @ rotation_about(1, tilt[1]) @ spin
-    flat = is_flat(shape.kind)
-    poses = jnp.where(flat, facing, free)
-    # Perspective frames are opened so that the unit sphere touches their edge.
-    reach = camera.distance / jnp.sqrt(jnp.maximum(camera.distance**2 - 1, 1e-3))
-    reach = jnp.where(camera.perspective > 0, reach, 1.0)
-    camera = camera._replace(window=jnp.stack([0.0, 0.0, 1.0]) * reach)
-    entropies, frames, seen = jax.vmap(lambda pose: _look(shape, camera, pose))(poses)
-    good = (entropies > config.min_entropy_bits) | flat
-    chosen = jnp.where(jnp.any(good), jnp.argmax(good), jnp.argmax(entropies))
-    one_hot = (jnp.arange(count) == chosen).astype(jnp.float32)
-    pose = jnp.einsum("k,kij->ij", one_hot, poses)
-    something = one_hot @ seen > 0
-    whole = without_cuts(shape)
-    whole_entropy, whole_frame, _ = _look(whole, camera, pose)
-    shape = shape._replace(slots=jnp.where(something, shape.slots, whole.slots))
-    entropy = jnp.where(something, one_hot @ entropies, whole_entropy)
-    frame = jnp.where(something, one_hot @ frames, whole_frame)
-    fills = flat & draws.chance(0.75)
-    margin = draws.uniform(1.0, 1.08)
-    zoom = jnp.where(fills, draws.uniform(0.35, 0.6), margin)
-    frame = frame * reach * jnp.stack([1.0, 1.0, zoom])
-    return shape, pose, camera._replace(window=frame), entropy
 
 
 def _basis_directions(draws: Draws, count: int) -> Array:
@@ -287,8 +187,8 @@ def render_geometry(
     perspective = perspective if camera is None else jnp.asarray(camera)
     solid = draw_shape(key_shape, kind)
     draws = Draws(key_camera, 16 + 8 * config.rotation_candidates)
-    view = _draw_camera(draws, config, perspective)
-    solid, pose, view, entropy = _pose_and_frame(draws, config, solid, view)
+    view = draw_camera(draws, config, perspective)
+    solid, pose, view, entropy = pose_and_frame(draws, config, solid, view)
     backdrop = None
     if config.whole_frame_rate:
         draws = Draws(jax.random.fold_in(key, 1), 32)
