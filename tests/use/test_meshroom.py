@@ -24,7 +24,7 @@ from unips_jax.cli.main import main
 from unips_jax.io.normals import read_normals
 from unips_jax.weights import save_weights
 
-PLUGIN = Path(__file__).resolve().parents[1] / "integrations" / "meshroom"
+PLUGIN = Path(__file__).resolve().parents[2] / "integrations" / "meshroom"
 COMMON = {"name", "label", "description", "value", "advanced", "enabled", "exposed"}
 ATTRIBUTES = {
     "File": set(),

@@ -20,7 +20,7 @@ from unips_jax.models.network import Network, read_contexts
 from unips_jax.models.released import from_official, official_name
 from unips_jax.training.loss import training_loss
 
-GOLDEN = Path(__file__).parent / "golden"
+GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 def official_arrays() -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ from unips_jax.export.files import write_export
 from unips_jax.export.onnx_graph import Graph
 from unips_jax.weights import save_weights
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 # A grid of contexts too large to be read by a product, the released arithmetic.
 LARGER = dataclasses.replace(
     SMALL,

@@ -24,7 +24,7 @@ from unips_jax.weights import save_weights
 pytest.importorskip("selenium", reason="selenium is not installed")
 from browser import ABSENT, browser, messages  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "unips_jax" / "assets" / "sample" / "obj000.data"
 pytestmark = [
     pytest.mark.skipif(ABSENT, reason="chromium and its driver are not installed"),

@@ -172,7 +172,7 @@ def test_a_bad_configuration_file_is_named(tmp_path, text, expected):
 
 
 def test_fields_are_listed_without_a_folder(capsys):
-    tiny = str(Path(__file__).parents[1] / "configs" / "tiny.py")
+    tiny = str(Path(__file__).parents[2] / "configs" / "tiny.py")
     with pytest.raises(SystemExit) as end:
         main(["--config", tiny, "--help"])
     assert end.value.code == 0
@@ -197,7 +197,7 @@ def test_fields_are_listed_without_a_folder(capsys):
     ],
 )
 def test_an_unknown_field_has_its_nearest_named(tmp_path, capsys, option, near):
-    tiny = str(Path(__file__).parents[1] / "configs" / "tiny.py")
+    tiny = str(Path(__file__).parents[2] / "configs" / "tiny.py")
     run = tmp_path / "run"
     assert main(["--config", tiny, "--workdir", str(run), option, "3"]) == 2
     error = capsys.readouterr().err

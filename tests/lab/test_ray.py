@@ -13,7 +13,7 @@ from evaluation_data import make_diligent
 from unips_jax.cli import cluster, estimate, eval
 from unips_jax.errors import InputError
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 SAMPLE = HERE.parent / "unips_jax" / "assets" / "sample" / "obj000.data"
 
 

@@ -1,7 +1,7 @@
 """The application in a browser: from photographs to a lit surface.
 
-`UNIPS_SCREENSHOTS=docs pytest tests/test_app_browser.py` also writes the pictures of
-`docs/app.md`, from the sample that ships.
+`UNIPS_SCREENSHOTS=docs pytest tests/use/test_app_browser.py` also writes the pictures
+of `docs/app.md`, from the sample that ships.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ from unips_jax.io.images import read_image, write_image
 
 pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent")
 
-SAMPLE = Path(__file__).parents[1] / "unips_jax/assets/sample/obj000.data"
+SAMPLE = Path(__file__).parents[2] / "unips_jax/assets/sample/obj000.data"
 SCREENSHOTS = os.environ.get("UNIPS_SCREENSHOTS")
 SIDE = 192 if SCREENSHOTS else 40
 PATIENCE_S = 500  # several processes may share two cores

@@ -15,7 +15,7 @@ import pytest
 
 from unips_jax.scenes.environments import BLURS, FLUX, TABLE_SIZE, directions_of
 
-FOLDER = Path(__file__).resolve().parents[1]
+FOLDER = Path(__file__).resolve().parents[2]
 TOOL = FOLDER / "tools" / "fetch_assets.py"
 
 

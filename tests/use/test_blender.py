@@ -21,7 +21,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.normals import write_normals
 from unips_jax.surface.files import write_depth
 
-ADDON = Path(__file__).resolve().parents[1] / "integrations" / "blender"
+ADDON = Path(__file__).resolve().parents[2] / "integrations" / "blender"
 SIZE = 64
 
 # Called by the add-on in place of `unips`: it hands out what is prepared.

@@ -16,7 +16,7 @@ from training_runs import write_objects
 
 from unips_jax import Materials, angular_error_deg, estimate_normals
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def example(name):
@@ -143,7 +143,7 @@ def test_eight_devices_share_objects():
     flags = os.environ.get("XLA_FLAGS", "")
     flags += " --xla_force_host_platform_device_count=8"
     script = str(EXAMPLES / "many_devices.py")
-    here = str(Path(__file__).parent)
+    here = str(Path(__file__).parents[1])
     run = subprocess.run(
         [sys.executable, "-c", ON_EIGHT, script, here],
         env={**os.environ, "XLA_FLAGS": flags},

@@ -17,7 +17,7 @@ from unips_jax.viewer.layers import layers_of, view_of
 from unips_jax.viewer.page import BUDGET, page, with_depth
 from unips_jax.viewer.result import Photograph
 
-ASSETS = Path(__file__).parents[1] / "unips_jax" / "viewer" / "assets"
+ASSETS = Path(__file__).parents[2] / "unips_jax" / "viewer" / "assets"
 
 
 def data_of(html):

@@ -18,7 +18,7 @@ from unips_jax.cli.app import main as app
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image, write_image
 
-SAMPLE = Path(__file__).parents[1] / "unips_jax/assets/sample/obj000.data"
+SAMPLE = Path(__file__).parents[2] / "unips_jax/assets/sample/obj000.data"
 SMALL = Limits(file_bytes=1000, object_bytes=2500, files=3, objects=2, visitors=2)
 
 

@@ -18,7 +18,7 @@ from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.models.network import Network, param_shapes
 from unips_jax.weights import load_weights, random_weights, save_weights, weights_record
 
-TOOLS = Path(__file__).resolve().parents[1] / "tools"
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from unips_jax.errors import InputError
 from unips_jax.weights import weights_record
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
