@@ -29,3 +29,40 @@ def shared_dir() -> Path:
     if not path.is_dir():
         pytest.skip(f"reference data not found at {path}; set UNIPS_SHARED")
     return path
+
+
+@pytest.fixture
+def network_calls(monkeypatch):
+    """Replaces the network: normals lean with the place in the image."""
+    import numpy as np
+
+    from unips_jax import weights
+    from unips_jax.estimation import streaming
+    from unips_jax.models.config import ModelConfig
+
+    calls = []
+
+    def stand_in(params, images, mask, *, progress=None, **options):
+        calls.append({"images": images, "mask": mask, **options})
+        if progress is not None:
+            progress(1, 1)
+        y, x = np.mgrid[: mask.shape[0], : mask.shape[1]].astype(np.float32)
+        normals = np.stack([x / x.max() - 0.5, 0.5 - y / y.max(), y * 0 + 1], axis=-1)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        return normals * mask[..., None]
+
+    def load(name):
+        return ModelConfig.tiny(), {"a": {"kernel": np.arange(6, dtype=np.float32)}}
+
+    monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
+    monkeypatch.setattr(weights, "load_weights", load)
+    return calls
+
+
+@pytest.fixture
+def calls(network_calls, monkeypatch):
+    """Leaves out the contact sheet, too."""
+    from unips_jax.estimation import writing
+
+    monkeypatch.setattr(writing, "write_sheet", lambda *args, **options: None)
+    return network_calls

@@ -125,3 +125,13 @@ HARD = {
     "mirror on black": {"albedo": (0.004,) * 3, "gloss": 4.0, "background": 0.004},
 }
 """Backgrounds on which it cannot."""
+
+
+def hemisphere(size=48):
+    row, column = np.mgrid[:size, :size]
+    radius = 0.45 * size
+    x, y = (column - (size - 1) / 2) / radius, -(row - (size - 1) / 2) / radius
+    mask = x**2 + y**2 < 1
+    z = np.sqrt(np.where(mask, 1 - x**2 - y**2, 0))
+    normals = np.stack([x, y, z], -1) * mask[..., None]
+    return normals.astype(np.float32), mask, -radius * z

@@ -6,11 +6,11 @@ tolerances are the reference's: its own rounding is about 1e-5 on logits and nor
 """
 
 import functools
-import zlib
 
 import jax
 import numpy as np
 import pytest
+from reference_arrays import made_up
 
 from unips_jax.baselines import calibrated
 from unips_jax.baselines.gcnet import crops, networks
@@ -24,23 +24,6 @@ soft_lights = jax.jit(gcnet_lights.soft_lights)
 
 LOOSE = 1e-4  # logits, features and normals
 TIGHT = 1e-5  # lights
-
-
-def made_up(network, *, gain=2**0.5, out_gain=8.0):
-    """The authors' arrays, by the reference's recipe R2 (R1: both gains 1)."""
-    arrays = {}
-    for key, shape, *_ in gcnet_weights._entries(network):
-        rng = np.random.default_rng(zlib.crc32(key.encode()))
-        array = rng.standard_normal(shape)
-        if key.endswith("_step"):
-            array = np.arange(shape[0])
-        elif len(shape) == 1:
-            array *= 0.05
-        else:
-            array *= gain / np.sqrt(np.prod(shape[1:]))
-            array *= out_gain if key.endswith("_est.1.0.weight") else 1
-        arrays[key] = array.astype(np.float32)
-    return arrays
 
 
 @pytest.fixture(scope="module")

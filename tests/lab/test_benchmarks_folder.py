@@ -7,8 +7,15 @@ import evaluation_data as data
 import numpy as np
 import OpenEXR
 import pytest
-from test_exif import png_with_orientation, tiff_with_orientation, with_orientation
-from test_photos import HEIGHT, WIDTH, save, smooth
+from picture_files import (
+    HEIGHT,
+    WIDTH,
+    png_with_orientation,
+    save,
+    smooth,
+    tiff_with_orientation,
+    with_orientation,
+)
 
 from unips_jax.cli import main as cli
 from unips_jax.errors import InputError

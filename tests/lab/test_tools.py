@@ -10,9 +10,8 @@ import jax
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
+from reference_arrays import made_up, official_arrays
 from small_networks import SMALL, SMALL_OURS, lively_weights
-from test_baselines_gcnet import made_up
-from test_official_parity import official_arrays
 
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.models.network import Network, param_shapes

@@ -9,9 +9,8 @@ import zlib
 import numpy as np
 import OpenEXR
 import pytest
+from picture_files import png, save, smooth
 from PIL import Image
-from test_formats import png
-from test_photos import save, smooth
 from tiff_writer import tiff
 
 from unips_jax.cli import main as cli

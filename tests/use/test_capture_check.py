@@ -7,10 +7,10 @@ import re
 import cv2
 import numpy as np
 import pytest
+from estimate_runs import run
+from picture_files import with_orientation
 from PIL import Image
 from plain_objects import PLAIN, lights, photographs
-from test_estimate import calls, network_calls, run  # noqa: F401
-from test_exif import with_orientation
 
 from unips_jax.capture.check import check_capture
 from unips_jax.capture.folder import check_photographs

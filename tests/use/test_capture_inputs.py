@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from estimate_runs import run
 from plain_objects import lights, photographs
-from test_estimate import calls, network_calls, run  # noqa: F401
 
 from unips_jax.capture.prepare import without_ambient
 from unips_jax.capture.unpack import unpacked

@@ -5,8 +5,8 @@ import json
 import cv2
 import numpy as np
 import pytest
+from estimate_runs import run
 from plain_objects import HARD, PLAIN, photographs
-from test_estimate import calls, network_calls, run  # noqa: F401
 
 from unips_jax.capture.grabcut import grabcut_mask, strokes
 from unips_jax.capture.masks import TRUSTED, mask_picture, suggest_mask

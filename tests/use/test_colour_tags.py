@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from picture_files import save, smooth
 from PIL import ImageCms
-from test_photos import save, smooth
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_linear, encoding_of, icc_curve

@@ -8,8 +8,7 @@ import evaluation_data as data
 import numpy as np
 import pytest
 import tifffile
-from test_exif import with_orientation
-from test_photos import HEIGHT, WIDTH, save, smooth
+from picture_files import HEIGHT, WIDTH, save, smooth, with_orientation
 
 from unips_jax.evaluation.benchmarks import open_benchmark
 from unips_jax.evaluation.store import Store

@@ -9,44 +9,15 @@ import sys
 import cv2
 import numpy as np
 import pytest
+from estimate_runs import run
 
 from unips_jax import weights
-from unips_jax.cli import main as cli
-from unips_jax.estimation import folders, streaming, writing
+from unips_jax.estimation import folders, streaming
 from unips_jax.io.selection import select
 from unips_jax.models.config import ModelConfig
 
 HEIGHT, WIDTH = 60, 80
 EXAMPLES = 6
-
-
-@pytest.fixture
-def network_calls(monkeypatch):
-    """Replaces the network: normals lean with the place in the image."""
-    calls = []
-
-    def stand_in(params, images, mask, *, progress=None, **options):
-        calls.append({"images": images, "mask": mask, **options})
-        if progress is not None:
-            progress(1, 1)
-        y, x = np.mgrid[: mask.shape[0], : mask.shape[1]].astype(np.float32)
-        normals = np.stack([x / x.max() - 0.5, 0.5 - y / y.max(), y * 0 + 1], axis=-1)
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        return normals * mask[..., None]
-
-    def load(name):
-        return ModelConfig.tiny(), {"a": {"kernel": np.arange(6, dtype=np.float32)}}
-
-    monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
-    monkeypatch.setattr(weights, "load_weights", load)
-    return calls
-
-
-@pytest.fixture
-def calls(network_calls, monkeypatch):
-    """Leaves out the contact sheet, too."""
-    monkeypatch.setattr(writing, "write_sheet", lambda *args, **options: None)
-    return network_calls
 
 
 def photograph(index, dtype=np.uint8):
@@ -74,10 +45,6 @@ def folder(tmp_path):
     write(folder / "mask.png", mask)
     write(folder / "normal.tif", photograph(0))
     return folder
-
-
-def run(*arguments):
-    return cli.main(["estimate", *map(str, arguments)])
 
 
 def test_results_lie_at_the_photographs_place(folder, tmp_path, network_calls, capsys):

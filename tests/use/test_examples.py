@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from plain_objects import hemisphere
 from small_networks import SMALL, lively_weights
-from test_surface_command import hemisphere
 from training_runs import write_objects
 
 from unips_jax import Materials, angular_error_deg, estimate_normals

@@ -1,28 +1,25 @@
 """Orientation from EXIF data."""
 
 import struct
-import zlib
 
 import numpy as np
 import pytest
-from test_photos import HEIGHT, WIDTH, save, smooth
+from picture_files import (
+    HEIGHT,
+    WIDTH,
+    exif,
+    png_with_orientation,
+    save,
+    smooth,
+    tiff_with_orientation,
+    with_orientation,
+)
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.official import read_official
 from unips_jax.io.photographs import read_capture, read_photographs
 from unips_jax.io.selection import select
-
-
-def exif(orientation):
-    tiff = struct.pack("<2sHIHHHII", b"II", 42, 8, 1, 0x0112, 3, 1, orientation)
-    return tiff + b"\0\0\0\0"
-
-
-def with_orientation(jpeg: bytes, orientation: int) -> bytes:
-    body = b"Exif\0\0" + exif(orientation)
-    segment = b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
-    return jpeg[:2] + segment + jpeg[2:]
 
 
 def test_exif_orientation_is_applied_as_viewers_do(tmp_path):
@@ -65,32 +62,6 @@ def test_differing_orientations_are_refused(tmp_path):
     for read in (read_photographs, read_official):
         with pytest.raises(InputError, match=r"b\.jpg: expected EXIF.* 1 .*got 3"):
             read(select(tmp_path))
-
-
-def tiff_with_orientation(tiff, orientation):
-    """With a new first directory, at the end, that has the tag too."""
-    (directory,) = struct.unpack_from("<I", tiff, 4)
-    (count,) = struct.unpack_from("<H", tiff, directory)
-    entries = [
-        tiff[directory + 2 + 12 * i : directory + 14 + 12 * i] for i in range(count)
-    ]
-    entries.append(struct.pack("<HHII", 0x0112, 3, 1, orientation))
-    entries.sort(key=lambda entry: struct.unpack_from("<H", entry))
-    end = len(tiff) + len(tiff) % 2
-    return (
-        tiff[:4]
-        + struct.pack("<I", end)
-        + tiff[8:].ljust(end - 8, b"\0")
-        + struct.pack("<H", count + 1)
-        + b"".join(entries)
-        + b"\0\0\0\0"
-    )
-
-
-def png_with_orientation(png, orientation):
-    chunk = b"eXIf" + exif(orientation)
-    length, checksum = struct.pack(">I", len(chunk) - 4), zlib.crc32(chunk)
-    return png[:33] + length + chunk + struct.pack(">I", checksum) + png[33:]
 
 
 def webp_with_orientation(webp, orientation):

@@ -2,7 +2,6 @@
 
 import itertools
 import struct
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -10,8 +9,8 @@ import numpy as np
 import OpenEXR
 import pytest
 import tifffile
+from picture_files import png, save, smooth
 from PIL import Image
-from test_photos import save, smooth
 from tiff_writer import COMPRESSIONS, tiff
 
 from unips_jax.errors import InputError
@@ -179,23 +178,6 @@ def test_pngs(tmp_path):
             np.testing.assert_array_equal(file.alpha, alpha)
         facts = check_image(data, tmp_path / "a.png")
         assert facts == (*SIZE, colours.shape[2] + (alpha is not None), dtype)
-
-
-def png(values, kind, bits, chunks):
-    height, width = values.shape[:2]
-    if bits < 8:
-        unpacked = np.unpackbits(values, axis=-1)[..., 8 - bits :]
-        rows = np.packbits(unpacked.reshape(height, -1), axis=-1)
-    else:
-        rows = values.astype(values.dtype.newbyteorder(">")).reshape(height, -1)
-    body = b"".join(b"\0" + row.tobytes() for row in rows)
-    header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
-    parts = {b"IHDR": header, **chunks, b"IDAT": zlib.compress(body), b"IEND": b""}
-    data = b"\x89PNG\r\n\x1a\n"
-    for name, part in parts.items():
-        checksum = struct.pack(">I", zlib.crc32(name + part))
-        data += struct.pack(">I", len(part)) + name + part + checksum
-    return data
 
 
 def test_transparent_colours_of_png(tmp_path):

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 import tifffile
+from picture_files import save, smooth
 from PIL import Image, features
-from test_photos import save, smooth
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image, read_image_file

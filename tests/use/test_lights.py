@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from plain_objects import hemisphere
 from small_networks import SMALL_OURS, lively_weights
-from test_surface_command import hemisphere
 
 from unips_jax import estimate_lights
 from unips_jax.cli.estimate import main as estimate

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
+from picture_files import HEIGHT, WIDTH, save, smooth
 from PIL import Image
-from test_photos import HEIGHT, WIDTH, save, smooth
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image

@@ -1,16 +1,13 @@
 """The network with the authors' arithmetic reproduces the authors' arrays."""
 
 import dataclasses
-import json
-import math
-import zlib
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
+from reference_arrays import GOLDEN, official_arrays
 
 from unips_jax import estimate_normals
 from unips_jax.metrics import angular_error_deg
@@ -19,25 +16,6 @@ from unips_jax.models.encoding import communicate
 from unips_jax.models.network import Network, read_contexts
 from unips_jax.models.released import from_official, official_name
 from unips_jax.training.loss import training_loss
-
-GOLDEN = Path(__file__).parents[1] / "golden"
-
-
-def official_arrays() -> dict[str, np.ndarray]:
-    """The deterministic weights the golden arrays were made with."""
-    shapes = json.loads((GOLDEN / "unips_official_keys.json").read_text())
-    arrays = {}
-    for key, shape in shapes.items():
-        x = np.random.default_rng(zlib.crc32(key.encode())).standard_normal(shape)
-        x = x.astype(np.float32)
-        if len(shape) == 1:
-            x = 1 + 0.1 * x if key.endswith(".weight") else 0.05 * x
-        elif "relative_position_bias_table" in key:
-            x = 0.1 * x
-        else:
-            x = x / math.sqrt(math.prod(shape[1:]))
-        arrays[key] = x.astype(np.float32)
-    return arrays
 
 
 @pytest.fixture(scope="module")

@@ -8,45 +8,13 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from picture_files import HEIGHT, WIDTH, save, smooth
 
 from unips_jax.errors import InputError
 from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.io.images import read_image
 from unips_jax.io.photographs import read_photographs
 from unips_jax.io.selection import SUFFIXES, is_map, select
-
-HEIGHT, WIDTH = 23, 37
-
-
-def smooth(dtype, seed=0, height=HEIGHT, width=WIDTH):
-    """A smooth random RGB picture that uses most of the type's range."""
-    coarse = np.random.default_rng(seed).random((4, 5, 3)).astype(np.float32)
-    picture = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
-    if dtype == np.float32:
-        return picture * 3
-    return (picture * np.iinfo(dtype).max).astype(dtype)
-
-
-def save(path: Path, rgb: np.ndarray):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix.lower() == ".exr":
-        planes = {"RGB": np.ascontiguousarray(rgb)}
-        if rgb.ndim == 2:
-            planes = {"Y": np.ascontiguousarray(rgb)}
-        OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(path))
-    else:
-        bgr = rgb if rgb.ndim == 2 else rgb[..., [2, 1, 0, 3][: rgb.shape[-1]]]
-        best = {
-            ".webp": [cv2.IMWRITE_WEBP_QUALITY, 101],
-            ".jpg": [
-                *(cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR),
-                cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-            ],
-        }
-        suffix = path.suffix.lower().replace("jfif", "jpg")
-        _, data = cv2.imencode(suffix, bgr, best.get(suffix, []))
-        path.write_bytes(data.tobytes())
-    return path
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_surface_command import hemisphere
+from plain_objects import hemisphere
 
 from unips_jax import DistantLights, Materials, relight
 from unips_jax.cli.relight import main

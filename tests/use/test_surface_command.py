@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from plain_objects import hemisphere
 
 from unips_jax.cli.estimate import main as estimate
 from unips_jax.cli.surface import main as surface
@@ -12,16 +13,6 @@ from unips_jax.io.normals import encode_normals
 from unips_jax.io.photographs import select
 
 trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")
-
-
-def hemisphere(size=48):
-    row, column = np.mgrid[:size, :size]
-    radius = 0.45 * size
-    x, y = (column - (size - 1) / 2) / radius, -(row - (size - 1) / 2) / radius
-    mask = x**2 + y**2 < 1
-    z = np.sqrt(np.where(mask, 1 - x**2 - y**2, 0))
-    normals = np.stack([x, y, z], -1) * mask[..., None]
-    return normals.astype(np.float32), mask, -radius * z
 
 
 def read_depth(folder):
