@@ -21,6 +21,8 @@ reading photographs needs no JAX, estimating normals no scene renderer.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from unips_jax.version import __version__
+
 if TYPE_CHECKING:
     from unips_jax.estimation.pure import estimate_maps, estimate_normals
     from unips_jax.estimation.streaming import (
@@ -36,8 +38,6 @@ if TYPE_CHECKING:
     from unips_jax.surface.images import integrate_image
     from unips_jax.surface.integrate import integrate_normals
     from unips_jax.weights import load_weights
-
-__version__ = "0.2.0"
 
 __all__ = [
     "DistantLights",

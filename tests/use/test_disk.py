@@ -13,7 +13,7 @@ from picture_files import HEIGHT, WIDTH, save, smooth, with_orientation
 from unips_jax.evaluation.benchmarks import open_benchmark
 from unips_jax.evaluation.store import Store
 from unips_jax.io.normals import decode_normals, encode_normals, read_normals
-from unips_jax.io.official import read_official
+from unips_jax.io.official_photographs import read_official
 from unips_jax.io.photographs import read_photographs
 from unips_jax.io.ps_wild import PSWildFolders, read_object
 from unips_jax.io.selection import select

@@ -17,7 +17,7 @@ from picture_files import (
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image, read_image_file
-from unips_jax.io.official import read_official
+from unips_jax.io.official_photographs import read_official
 from unips_jax.io.photographs import read_capture, read_photographs
 from unips_jax.io.selection import select
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from unips_jax.io.official import official_crop, read_official
+from unips_jax.io.official_photographs import official_crop, read_official
 from unips_jax.io.selection import select
 
 

@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(_usage())
         return 0
     if name == "--version":
-        from unips_jax import __version__
+        from unips_jax.version import __version__
 
         print(__version__)
         return 0

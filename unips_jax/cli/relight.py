@@ -13,7 +13,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -90,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         image = render(0.0)
         gain = _gain(image, normals) * 2**options.exposure
         write_image(place / "relit.png", _encoded(image * gain))
-        write_exr(place / "relit.exr", {"RGB": image * np.float32(gain)}, _header())
+        write_exr(place / "relit.exr", {"RGB": image * np.float32(gain)})
         if options.turn is not None:
             path = place / f"turning.{options.turn}"
             write_animation(path, _frames(options, render, gain), fps=options.fps)
@@ -226,15 +226,6 @@ def _gain(image: np.ndarray, normals: np.ndarray) -> float:
 
 def _encoded(image: np.ndarray) -> np.ndarray:
     return np.round(255 * srgb_encode(image)).astype(np.uint8)
-
-
-def _header() -> dict[str, Any]:
-    import OpenEXR
-
-    return {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-    }
 
 
 if __name__ == "__main__":

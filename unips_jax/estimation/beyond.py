@@ -138,16 +138,10 @@ def write_confidence(
     Returns:
         For the record: what levels mean, and the mean.
     """
-    import OpenEXR
-
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "comments": "spread of the normals over halves of the photographs, degrees; "
-        "NaN: no surface",
-    }
-    outside = np.where(mask, spread, np.nan).astype(np.float32)
-    write_exr(folder / "confidence.exr", {"Y": outside}, header)
+    comments = "spread of the normals over halves of the photographs, degrees; "
+    comments += "NaN: no surface"
+    outside = np.where(mask, spread, np.nan)
+    write_exr(folder / "confidence.exr", {"Y": outside}, comments)
     levels = np.where(mask, np.clip(np.rint(spread * 100), 1, 65535), 0)
     write_image(folder / "confidence.png", levels.astype(np.uint16))
     bad = mask & (spread > UNRELIABLE_DEG)

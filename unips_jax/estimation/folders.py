@@ -45,7 +45,7 @@ _CODE = (
     "estimation.reading",
     "estimation.writing",
     "io.photographs",
-    "io.official",
+    "io.official_photographs",
     "io.normals",
     "pictures.estimate_sheet",
     "surface.outputs",

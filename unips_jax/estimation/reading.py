@@ -16,7 +16,7 @@ from unips_jax.capture.prepare import (
 from unips_jax.console import track
 from unips_jax.errors import InputError
 from unips_jax.estimation.options import FolderOptions
-from unips_jax.io.official import read_official
+from unips_jax.io.official_photographs import read_official
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.record import HashingReader
 from unips_jax.io.selection import Selection, select

@@ -5,7 +5,6 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from unips_jax import __version__
 from unips_jax.evaluation.benchmarks import submission_bytes
 from unips_jax.evaluation.protocols import choose_images, show
 from unips_jax.evaluation.report import Exhibit, Header, exhibit, report
@@ -16,6 +15,7 @@ from unips_jax.evaluation.summary import TABLES, Results, Table
 from unips_jax.evaluation.tables import files_of
 from unips_jax.io.claims import slug, write_whole
 from unips_jax.provenance import code_hash
+from unips_jax.version import __version__
 
 
 def write_tables(store: Store, tables: Sequence[Table]) -> Path:

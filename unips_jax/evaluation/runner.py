@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unips_jax import __version__
 from unips_jax.baselines.method import Estimated, Unsupported
 from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import Benchmark, Item
@@ -26,6 +25,7 @@ from unips_jax.evaluation.scores import Score, best_signs, from_json, score
 from unips_jax.evaluation.store import Store, result_key
 from unips_jax.io.claims import slug
 from unips_jax.provenance import code_hash
+from unips_jax.version import __version__
 
 _POLL_S = 0.2
 _CODE = ("evaluation.benchmarks", "evaluation.protocols", "evaluation.scores")

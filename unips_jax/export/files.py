@@ -200,7 +200,7 @@ def _in_half(x: np.ndarray) -> np.ndarray:
 
 
 def _versions() -> dict[str, str]:
-    from unips_jax import __version__
+    from unips_jax.version import __version__
 
     return {"unips_jax": __version__, "jax": jax.__version__, "license": "Apache-2.0"}
 

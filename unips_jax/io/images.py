@@ -13,7 +13,6 @@ import os
 import stat
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -231,20 +230,19 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
 
 def write_exr(
-    path: Path, channels: Mapping[str, np.ndarray], header: Mapping[str, Any]
+    path: Path, channels: Mapping[str, np.ndarray], comments: str = ""
 ) -> None:
-    """Writes an OpenEXR file.
-
-    Args:
-        path: where.
-        channels: their pixels, float32.
-        header: what else the file says.
+    """Writes channels of float32 as a compressed OpenEXR file.
 
     Raises:
         OSError: if the file system refuses.
     """
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    if comments:
+        header["comments"] = comments
+    pixels = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
     try:
-        OpenEXR.File(dict(header), dict(channels)).write(str(path))
+        OpenEXR.File(header, pixels).write(str(path))
     except RuntimeError as error:
         raise OSError(str(error)) from error
 

@@ -51,14 +51,7 @@ def write_normals(
     write_image(folder / "normals.png", encode_normals(turned))
     np.save(folder / "normals.npy", normals)
     if exr:
-        import OpenEXR
-
-        header = {
-            "compression": OpenEXR.ZIP_COMPRESSION,
-            "type": OpenEXR.scanlineimage,
-        }
-        channels = {"RGB": np.ascontiguousarray(turned)}
-        write_exr(folder / "normals.exr", channels, header)
+        write_exr(folder / "normals.exr", {"RGB": turned})
     if mat:
         import scipy.io
 

@@ -176,8 +176,7 @@ def write_folder(
             for title, values in (maps or {}).items():
                 write_image(partial / f"{title}.tif", encode_linear(values))
             if depth is not None:
-                channels = {"Z": np.where(mask, depth, 0).astype(np.float32)}
-                write_exr(partial / "depth.exr", channels, {})
+                write_exr(partial / "depth.exr", {"Z": np.where(mask, depth, 0)})
             text = json.dumps(dict(facts), indent=1)
             (partial / META).write_text(text + "\n")
             partial.chmod(0o755)

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax import __version__
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import MAX_PIXELS, ImageFile, decode_image, read_bytes
 from unips_jax.io.results import file_hash
 from unips_jax.io.selection import Selection
+from unips_jax.version import __version__
 
 _UNTRAINED = "RANDOM WEIGHTS: an untrained network, these normals mean nothing"
 _VERSIONS_OF = ("jax", "flax", "numpy", "opencv-python-headless")

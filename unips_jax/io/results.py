@@ -9,6 +9,7 @@ import errno
 import hashlib
 import json
 import os
+import secrets
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from unips_jax.errors import InputError
+from unips_jax.io.claims import claim
 
 RECORD = "normals.json"
 _RESULTS = frozenset(
@@ -107,11 +109,10 @@ def clear_leftovers(parent: Path) -> None:
     """
     if not parent.is_dir():
         return
-    with _locked(parent, wait=True):
-        for work in parent.glob(f"{_WORK}*"):
-            with _locked(work) as nobodys:
-                if nobodys:
-                    _dissolve(work)
+    for lock in parent.glob(f"{_WORK}*.lock"):
+        with contextlib.suppress(InputError), claim(lock) as nobodys:
+            if nobodys:
+                _dissolve(lock)
 
 
 @contextlib.contextmanager
@@ -190,15 +191,16 @@ def _shortened(path: Path) -> str:
 @contextlib.contextmanager
 def _workspace(parent: Path) -> Iterator[Path]:
     """A folder that nobody clears while this process lives."""
+    lock = parent / f"{_WORK}{secrets.token_hex(8)}.lock"
     with contextlib.ExitStack() as held:
-        with _locked(parent, wait=True):  # nobody clears it before it is locked
-            work = Path(tempfile.mkdtemp(prefix=_WORK, dir=parent))
-            held.enter_context(_locked(work))
+        # Without locks, nobody else clears it either.
+        with contextlib.suppress(InputError):
+            held.enter_context(claim(lock, wait=True))
         try:
-            work.chmod(0o755)
-            yield work
+            lock.with_suffix("").mkdir()
+            yield lock.with_suffix("")
         finally:
-            _dissolve(work)
+            _dissolve(lock)
 
 
 def _carry_over(place: Path, new: Path, record: str) -> None:
@@ -235,35 +237,12 @@ def _switch(place: Path, new: Path, work: Path) -> None:
             place.rename(aside / place.name)
 
 
-def _dissolve(work: Path) -> None:
+def _dissolve(lock: Path) -> None:
     """Removes a workspace; what was set aside comes back where nothing replaced it."""
+    work = lock.with_suffix("")
     with contextlib.suppress(OSError):
         for before in work.glob(f"{_BEFORE}*/*"):
             if not (work.parent / before.name).exists():
                 before.rename(work.parent / before.name)
         shutil.rmtree(work, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _locked(folder: Path, *, wait: bool = False) -> Iterator[bool]:
-    """Holds a folder's `flock`, until the block or the process ends.
-
-    Yields:
-        Whether it is held: not if another process has it, or the system or the file
-        system has no such locks.
-    """
-    try:
-        import fcntl  # not on Windows
-    except ImportError:
-        yield False
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            held = True
-        except OSError:
-            held = False
-        yield held
-    finally:
-        os.close(handle)
+        lock.unlink()

@@ -98,14 +98,8 @@ def write_base_color(
         For the record.
     """
     color = base_color(images, normals, mask, lights, transfer=transfer)
-    import OpenEXR
-
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "comments": "base colour, linear, up to a factor; 0: no surface",
-    }
-    write_exr(folder / "base_color.exr", {"RGB": color}, header)
+    comments = "base colour, linear, up to a factor; 0: no surface"
+    write_exr(folder / "base_color.exr", {"RGB": color}, comments)
     encoded = np.rint(65535 * srgb_encode(color)).astype(np.uint16)
     write_image(folder / "base_color.png", encoded)
     return {"scale": f"the brightest percent is {_BRIGHT}", "transfer": "png srgb"}

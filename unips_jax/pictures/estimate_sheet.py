@@ -14,7 +14,7 @@ import numpy as np
 
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.images import write_image
-from unips_jax.io.masks import mask_box
+from unips_jax.pictures.maps import frame
 
 _TILE = 240
 _GAP = 8
@@ -52,7 +52,7 @@ def write_sheet(
         truth: `[H, W, 3]`, true normals, unit length inside the mask: adds a map of the
             errors.
     """
-    view = _view(mask)
+    view = frame(mask)
     small_mask = _fit(mask[view].astype(np.float32)[..., None])
     small_normals = _normalized(_fit(np.where(mask[view][..., None], normals[view], 0)))
     large = _normalized(_fit(np.where(mask[view][..., None], normals[view], 0), _BLOCK))
@@ -70,7 +70,9 @@ def write_sheet(
         "the shape under a light from each side; colour key",
     ]
     if truth is not None:
-        errors = _errors_deg(normals, truth)[view]
+        from unips_jax.metrics import angular_error_deg  # with JAX
+
+        errors = np.asarray(angular_error_deg(normals[view], truth[view]))
         blocks.append(_error_block(errors, mask[view]))
         labels.append(
             f"errors, 0 (black) to {_ERROR_LIMIT_DEG:.0f} degrees and more (yellow); "
@@ -97,15 +99,6 @@ def shade(normals: np.ndarray, azimuth_deg: float) -> np.ndarray:
         np.float32,
     )
     return np.maximum(normals @ light, 0)
-
-
-def _view(mask: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of the mask's bounding box and a margin of 3%."""
-    view = []
-    for side in mask_box(mask):
-        margin = 1 + (side.stop - side.start) * 3 // 100
-        view.append(slice(max(side.start - margin, 0), side.stop + margin))
-    return view[0], view[1]
 
 
 def _fit(image: np.ndarray, side: int = _TILE) -> np.ndarray:
@@ -167,11 +160,6 @@ def _colour_key() -> np.ndarray:
     coverage = np.clip((1 - np.sqrt(squared)) * 0.31 * _TILE + 0.5, 0, 1)
     normals = _normalized(np.stack([x, y, z], axis=-1))
     return _over_background((normals + 1) / 2, coverage[..., None])
-
-
-def _errors_deg(normals: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    cross = np.linalg.norm(np.cross(normals, truth), axis=-1)
-    return np.rad2deg(np.arctan2(cross, np.sum(normals * truth, axis=-1)))
 
 
 def _error_block(errors: np.ndarray, mask: np.ndarray) -> np.ndarray:

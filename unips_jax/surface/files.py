@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.formats.exr import MAGIC
+from unips_jax.io.images import write_exr
 
 _TOP = 65535
-_EXR = b"\x76\x2f\x31\x01"
 
 
 def read_depth(path: Path) -> np.ndarray:
@@ -32,7 +33,7 @@ def read_depth(path: Path) -> np.ndarray:
     """
     import OpenEXR
 
-    if not path.is_file() or path.read_bytes()[:4] != _EXR:
+    if not path.is_file() or path.read_bytes()[:4] != MAGIC:
         raise InputError(
             f"{path}: expected depth as an EXR with channel Z, or a .npy, got another "
             "file or none; convert it"
@@ -60,8 +61,6 @@ def write_depth(folder: Path, depth: np.ndarray, *, unit: str) -> dict[str, Any]
         For the record: the unit, nearest and farthest depth, and what each level of
         the PNGs means.
     """
-    import OpenEXR
-
     there = np.isfinite(depth)
     near = float(depth[there].min()) if there.any() else 0.0
     far = float(depth[there].max()) if there.any() else 0.0
@@ -78,14 +77,8 @@ def write_depth(folder: Path, depth: np.ndarray, *, unit: str) -> dict[str, Any]
         "height.png": f"height above the farthest point = level * {reach / _TOP:.9g} "
         f"{unit}, towards the viewer; full scale {reach:.9g} {unit}",
     }
-    OpenEXR.File(
-        {
-            "compression": OpenEXR.ZIP_COMPRESSION,
-            "type": OpenEXR.scanlineimage,
-            "comments": f"depth in {unit}, away from the viewer; NaN: no surface",
-        },
-        {"Z": np.ascontiguousarray(depth, np.float32)},
-    ).write(str(folder / "depth.exr"))
+    comments = f"depth in {unit}, away from the viewer; NaN: no surface"
+    write_exr(folder / "depth.exr", {"Z": depth}, comments)
     _write_png(folder / "depth.png", levels, str(facts["depth.png"]))
     _write_png(folder / "height.png", heights, str(facts["height.png"]))
     return facts

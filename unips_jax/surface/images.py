@@ -90,7 +90,9 @@ def integrate_image(
     depth = np.full(mask.shape, np.nan, np.float32)
     if not inside.any():
         return Integration(depth, 0, 0, 0.0)
-    box = _box(inside)
+    from unips_jax.io.masks import mask_box  # with OpenCV, which arrays do not need
+
+    box = mask_box(inside)
     height, width = mask.shape
     column, row = principal_point or ((width - 1) / 2, (height - 1) / 2)
     camera = (focal, (column - box[1].start, row - box[0].start))
@@ -131,11 +133,6 @@ def _check_values(
     ):
         if not (np.isfinite(value) and value >= 0):
             raise ValueError(f"{name}: expected 0 or more, got {value}")
-
-
-def _box(inside: np.ndarray) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
-    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 def _padded(values: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.color import as_linear
 
 SUFFIXES = (".ply", ".obj", ".glb")
 CUT = 20.0
@@ -223,9 +224,7 @@ def _nearest(known: np.ndarray, asked: np.ndarray) -> np.ndarray:
 
 def _linear(colors: np.ndarray) -> np.ndarray:
     """SRGB to linear, both uint8."""
-    level = np.arange(256) / 255
-    linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
-    return np.round(linear * 255).astype(np.uint8)[colors]
+    return np.round(as_linear(colors, "srgb") * 255).astype(np.uint8)
 
 
 def _encoded(shape: Any, suffix: str, comment: str) -> bytes:
