@@ -10,7 +10,7 @@ the shipped `tiny`, widened, which is almost the same function. Scenes are those
 paint, and carvings.
 Hardware: meant for one GPU. Time and score: none, it was not trained yet; steps of
 smaller batches were seen to run on two CPU cores. Before a step, the widened `tiny` has
-7.3 degrees on photographs of DiLiGenT's four objects with 10 images, `tiny` likewise.
+7.3 degrees on photographs of DiLiGenT's four objects with 10 images, as `tiny` has.
 """
 
 import dataclasses

@@ -55,9 +55,6 @@ class Options:
 def load_config(path: str | Path) -> Config:
     """Runs a configuration file and returns what its `get_config()` gives.
 
-    Args:
-        path: a Python file.
-
     Raises:
         InputError: if there is no such file or function, or it fails.
     """

@@ -99,6 +99,25 @@ def test_a_damaged_checkpoint_is_set_aside(run, name, capsys):
     assert restored(run) == 6
 
 
+def test_swapped_checkpoints_are_set_aside(run, capsys):
+    """Both are whole, but neither is of its folder's step."""
+    folder = run / "checkpoints"
+    (folder / "3").rename(folder / "9")
+    (folder / "6").rename(folder / "3")
+    (folder / "9").rename(folder / "6")
+    with pytest.raises(InputError, match="6: it was written at step 3; 3: .* step 6"):
+        Checkpoints(run, CONFIG)
+
+
+@pytest.mark.parametrize("name", ["99", "1" * 21, str(2**31)])
+def test_a_copy_under_another_step_is_set_aside(run, name, capsys):
+    folder = run / "checkpoints"
+    shutil.copytree(folder / "6", folder / name)
+    assert restored(run) == 6
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"checkpoint {name} is damaged (" in line and "from checkpoint 6" in line
+
+
 def test_every_bit_counts(run, capsys):
     folder = run / "checkpoints" / "6"
     for file in sorted(path for path in folder.rglob("*") if path.is_file()):

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import re
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ import small_networks
 from flax.traverse_util import flatten_dict
 from small_networks import lively
 
+from unips_jax.estimation.chunks import in_pieces
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import from_json, to_json
 from unips_jax.models.network import Network, init_params
@@ -276,6 +278,23 @@ def test_dropout_acts_in_training_only():
     first, second = run(jax.random.key(0)), run(jax.random.key(1))
     assert abs(first - second).max() > 1e-3
     np.testing.assert_array_equal(first, run(jax.random.key(0)))
+
+
+def test_every_piece_has_its_own_dropout():
+    """Images in pieces: no two pieces of equal images drop the same entries."""
+
+    class Drops(nn.Module):
+        @nn.compact
+        def __call__(self, x):
+            return in_pieces(2)(nn.Dropout(0.5, deterministic=False), x)
+
+    run = jax.jit(
+        lambda key: Drops().apply({}, jnp.ones((6, 40)), rngs={"dropout": key})
+    )
+    first, second, third = np.split(np.asarray(run(jax.random.key(0))), 3)
+    for one, other in ((first, second), (second, third), (first, third)):
+        assert 0.2 < np.mean(one != other) < 0.8
+    assert set(np.unique(first)) == {0, 2}
 
 
 def test_bfloat16_stays_near():

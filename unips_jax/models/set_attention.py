@@ -22,7 +22,6 @@ from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
 from unips_jax.models import ops
-from unips_jax.models.dropout import Dropout
 
 AttentionKind = Literal["pre_norm", "released"]
 
@@ -131,7 +130,7 @@ class SetMLP(nn.Module):
     @nn.compact
     def __call__(self, x: Array, deterministic: bool) -> Array:
         """Applies the MLP to `[..., C]`."""
-        dropout = Dropout(self.dropout_rate)
+        dropout = nn.Dropout(self.dropout_rate)
         hidden = layer_norm(self.dtype, "norm")(x) if self.use_layer_norm else x
         hidden = dense(self.mlp_dim, self.dtype, "fc1")(hidden)
         hidden = dropout(ops.gelu(hidden), deterministic)
@@ -183,7 +182,7 @@ class SAB(nn.Module):
         k = dense(self.features, self.dtype, "key")(keys)
         v = dense(self.features, self.dtype, "value")(keys)
 
-        dropout = Dropout(self.dropout_rate)
+        dropout = nn.Dropout(self.dropout_rate)
         width = self.features // self.num_heads if pre_norm else self.features
 
         def attend(q: Array) -> Array:
@@ -314,7 +313,7 @@ class PMA(nn.Module):
             members = ops.leading(valid[:, None, None], logits.ndim)
             logits = jnp.where(members, logits, -jnp.inf)
         weights = jax.nn.softmax(logits, axis=-3)
-        weights = Dropout(self.dropout_rate)(weights, deterministic).astype(y.dtype)
+        weights = nn.Dropout(self.dropout_rate)(weights, deterministic).astype(y.dtype)
 
         # One mixture of members per seed and head, then each head's values from it
         mixing = weights.reshape(*weights.shape[:-2], -1)  # [..., N, seeds * heads]

@@ -26,12 +26,7 @@ def make_batches(
 ) -> Iterator[Batch]:
     """The batches of the steps after `first`; each follows from its step.
 
-    Args:
-        config: of the run.
-        scene_key: for the scenes.
-        mesh: the devices that share a batch.
-        first: steps already done.
-        compiling: entered, with what it is, while something compiles.
+    `compiling` is entered, with what it is, while something compiles.
 
     Yields:
         `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and, of

@@ -1,13 +1,14 @@
 """Training checkpoints: orbax writes the arrays, checksums guard the files.
 
-A checkpoint is written beside its place. Once all its files are there, their checksums
-are added, and one renaming puts it in place, so that a kill at any moment leaves the
-earlier ones. The checksums are those of files, not of arrays: nothing damaged is then
-parsed, and they do not depend on how devices share the arrays.
+A checkpoint is written as `N.partial`. Once all its files are there, its step and their
+checksums are added, and one renaming puts it in place, so that a kill at any moment
+leaves the earlier ones. The checksums are those of files, not of arrays: nothing
+damaged is then parsed, and they do not depend on how devices share the arrays.
 """
 
 import concurrent.futures
 import contextlib
+import dataclasses
 import json
 import logging
 import os
@@ -30,8 +31,8 @@ from unips_jax.errors import InputError
 from unips_jax.models.config_json import to_json
 from unips_jax.training.checksums import damage, write_checksums
 from unips_jax.training.config import Config
-from unips_jax.training.guards import any_process
 from unips_jax.training.log import say
+from unips_jax.training.safety import any_process
 
 # What may change between the runs of one training: where and how, not what.
 _FREE = {
@@ -40,33 +41,44 @@ _FREE = {
     "data": {"root", "workers"},
     "scenes": set(),
     "train": {
-        *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
+        "steps",
+        "log_every",
+        "checkpoint_every",
+        "keep",
+        "validate_every",
+        "validation_scenes",
+        "validation_images",
         "keep_memory",
-        *("validation_scenes", "validation_images"),
     },
 }
-# What the system said, within an error of the library that writes the arrays.
+# The file that names a checkpoint's step: its folder's name is not in the checksums.
+_STEP = "STEP"
+_LAST_STEP = 2**31 - 1  # the state counts in int32
+# The system's code, within an error of the library that writes the arrays.
 _SYSTEM_ERROR = re.compile(r"os_error_code='(\d+)'")
 
 
-def changed_fields(saved: dict[str, Any], ours: dict[str, Any]) -> dict[str, Any]:
+def changed_fields(saved: dict[str, Any], config: Config) -> dict[str, Any]:
     """What makes a run another one than that which was saved.
 
-    Fields that the saved one does not know came with a later version and have no say.
-
-    Args:
-        saved: a `Config` as read from JSON.
-        ours: the same of the present run.
+    Fields that `saved`, a `Config` as read from JSON, lacks came with a later version:
+    they had their defaults.
 
     Returns:
         By field, what was saved and what is given.
     """
-    return {
-        f"{part}.{name}": (value, ours[part].get(name))
-        for part, free in _FREE.items()
-        for name, value in saved[part].items()
-        if name not in free and ours[part].get(name) != value
-    }
+    changed = {}
+    for part, free in _FREE.items():
+        section = getattr(config, part)
+        ours = json.loads(json.dumps(dataclasses.asdict(section)))
+        defaults = json.loads(
+            json.dumps({f.name: f.default for f in dataclasses.fields(section)})
+        )
+        before = defaults | saved[part]
+        for name in before.keys() - free:
+            if before[name] != ours.get(name):
+                changed[f"{part}.{name}"] = before[name], ours.get(name)
+    return changed
 
 
 class Checkpoints:
@@ -76,11 +88,7 @@ class Checkpoints:
         """Opens a run's folder, made if absent; no other run may be in it.
 
         Damaged checkpoints newer than the newest intact one are set aside, as
-        `checkpoints/N.damaged`, and this is said.
-
-        Args:
-            workdir: of the run.
-            config: of the run; the number of checkpoints kept is among it.
+        `checkpoints/N.damaged`, with a line for each.
 
         Raises:
             InputError: if there are checkpoints and all are damaged.
@@ -101,12 +109,14 @@ class Checkpoints:
         barrier = multihost.unique_barrier_key("checkpoints sorted out")
         multihost.sync_global_processes(barrier, timeout=3600)
         if any_process(problem is not None):
-            raise problem or InputError(f"{self._path}: process 0 says what is wrong")
+            raise problem or InputError(
+                f"{self._path}: process 0 reports what is wrong"
+            )
         shared = np.int64(-1 if step is None else step)
         self._latest = int(multihost_utils.broadcast_one_to_all(shared))
 
     def __enter__(self) -> Self:
-        """Silences what the library prints of errors that are raised too."""
+        """Silences what the library prints of errors that it also raises."""
         self._quiet.enter_context(_reported_once())
         return self
 
@@ -116,7 +126,7 @@ class Checkpoints:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Waits for the write under way; its failure counts unless another is told."""
+        """Waits for the write under way; raises its failure, unless one is raised."""
         try:
             with contextlib.suppress(*() if kind is None else (Exception,)):
                 self._wait()
@@ -136,18 +146,15 @@ class Checkpoints:
     def save(self, step: int, state: Any, record: dict[str, Any]) -> None:
         """Starts to write a checkpoint; training goes on meanwhile.
 
-        Args:
-            step: steps done.
-            state: a tree of arrays.
-            record: what else must survive, anything JSON can hold.
+        `record` is what else must survive, anything JSON can hold.
 
         Raises:
             InputError: if the one before could not be written, as on a full disk.
         """
         self._wait()
-        at_once = ocp.Context()  # a folder that cannot be made is then told at once
+        at_once = ocp.Context()  # a folder that cannot be made then fails at once
         at_once.asynchronous.create_directories_asynchronously = False
-        with self._failure_told(step), at_once:
+        with self._failure_named(step), at_once:
             response = ocp.save_checkpointables_async(
                 self._path.resolve() / f"{step}.partial",
                 {"state": state},
@@ -159,13 +166,9 @@ class Checkpoints:
         self._writing = self._writer.submit(self._complete, step, response)
 
     def restore(self, abstract_state: Any) -> tuple[Any, dict[str, Any]]:
-        """Reads the newest intact checkpoint.
+        """Reads the newest intact checkpoint: the state and the record.
 
-        Args:
-            abstract_state: shapes, types and shardings to read it into.
-
-        Returns:
-            The state and the record.
+        `abstract_state` has the shapes, types and shardings to read it into.
 
         Raises:
             InputError: if it was written by a run that differs in more than its
@@ -174,7 +177,7 @@ class Checkpoints:
         folder = self._path.resolve() / str(self._latest)
         metadata = ocp.checkpointables_metadata(folder).custom_metadata
         saved = json.loads(metadata["config"])
-        changed = changed_fields(saved, json.loads(to_json(self._config)))
+        changed = changed_fields(saved, self._config)
         if changed:
             raise InputError(
                 f"{folder}: this checkpoint was written with another "
@@ -186,22 +189,36 @@ class Checkpoints:
 
     def _steps(self) -> list[int]:
         names = [path.name for path in self._path.iterdir()]
-        return sorted(int(name) for name in names if name.isdecimal())
+        return sorted(
+            int(name) for name in names if re.fullmatch("0|[1-9][0-9]*", name)
+        )
+
+    def _problem(self, step: int) -> str | None:
+        """What is wrong with a checkpoint; None if it is as it was written."""
+        folder = self._path / str(step)
+        if step > _LAST_STEP:
+            return f"expected a step of at most {_LAST_STEP} as its name"
+        problem = damage(folder)
+        if problem is None and (folder / _STEP).exists():  # versions to 0.3: none
+            written = (folder / _STEP).read_text("utf-8").strip()
+            if written != str(step):
+                return f"it was written at step {written:.20}"
+        return problem
 
     def _sort_out(self) -> int | None:
         """Removes what was not completed, sets aside damage; the step that is left."""
         self._remove_partial()
         damaged: dict[int, str] = {}
         for step in reversed(self._steps()):
-            problem = damage(self._path / str(step))
+            problem = self._problem(step)
             if problem is None:
                 break
             damaged[step] = problem
         else:
             if damaged:  # left where they are: training anew must be the user's wish
-                told = "; ".join(f"{step}: {damaged[step]}" for step in damaged)
+                found = "; ".join(f"{step}: {damaged[step]}" for step in damaged)
                 raise InputError(
-                    f"{self._path}: expected an intact checkpoint, got none ({told}); "
+                    f"{self._path}: expected an intact checkpoint, got none ({found}); "
                     "put a copy back, or choose another --workdir"
                 )
             return None
@@ -217,19 +234,20 @@ class Checkpoints:
 
     def _complete(self, step: int, response: ocp.AsyncResponse[None]) -> None:
         """Awaits the files, adds checksums, puts all in place, removes old ones."""
-        with self._failure_told(step):
+        with self._failure_named(step):
             response.result()
             if jax.process_index() > 0:
                 return
             partial = self._path / f"{step}.partial"
+            (partial / _STEP).write_text(f"{step}\n")
             write_checksums(partial)
             partial.rename(self._path / str(step))
             for old in self._steps()[: -self._config.train.keep]:
                 shutil.rmtree(self._path / str(old))
 
     @contextlib.contextmanager
-    def _failure_told(self, step: int) -> Iterator[None]:
-        """Names the checkpoint if the system says why it cannot be written."""
+    def _failure_named(self, step: int) -> Iterator[None]:
+        """Names the checkpoint where the system refuses to write it."""
         try:
             yield
         except Exception as error:
@@ -237,8 +255,8 @@ class Checkpoints:
             if jax.process_index() == 0:
                 self._remove_partial()
             code = getattr(error, "errno", None)
-            if said := _SYSTEM_ERROR.search(str(error)):
-                code = int(said[1])
+            if found := _SYSTEM_ERROR.search(str(error)):
+                code = int(found[1])
             if code is None:
                 raise
             raise InputError(

@@ -20,11 +20,7 @@ def write_checksums(folder: Path) -> None:
 
 
 def damage(folder: Path) -> str | None:
-    """What is wrong with a folder's files; None if they are as they were written.
-
-    Args:
-        folder: that `write_checksums` was called for.
-    """
+    """What is wrong with a folder's files; None if they are as they were written."""
     if not (folder / _NAME).is_file():
         return f"it has no {_NAME}"
     try:
@@ -42,7 +38,7 @@ def damage(folder: Path) -> str | None:
 
 
 def _checksums(folder: Path) -> dict[str, str]:
-    """By name; but of what systems add, such as `.nfs0001` or `.DS_Store`."""
+    """By name, without what systems add, such as `.nfs0001` or `.DS_Store`."""
     sums = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.name != _NAME and not path.name.startswith("."):

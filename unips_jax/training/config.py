@@ -24,7 +24,7 @@ class DataConfig:
         scene_share: share of steps on scenes in a mixture.
         image_size: side of the training images, in pixels.
         frame: what the encoder's square surrounds: the whole "image", as in the paper,
-            or the "mask", as `estimate_normals` does unless told.
+            or the "mask", as in `estimate_normals` by default.
         batch_size: objects per step, over all devices.
         num_images: sizes of the sets; every step draws one of them for all its
             objects. The paper draws from 2..10.
@@ -54,11 +54,7 @@ class DataConfig:
     workers: int = 0
 
     def __post_init__(self) -> None:
-        """Checks every field.
-
-        Raises:
-            ValueError: naming the field, what was expected and what came.
-        """
+        """Checks every field; `ValueError` names it."""
         check_types(self)
         require_positive(self, "image_size", "batch_size", "num_pixels")
         require_not_negative(self, "max_tokens", "workers")
@@ -119,11 +115,7 @@ class OptimConfig:
     heads_rate: float = 1.0
 
     def __post_init__(self) -> None:
-        """Checks every field.
-
-        Raises:
-            ValueError: naming the field, what was expected and what came.
-        """
+        """Checks every field; `ValueError` names it."""
         check_types(self)
         rates = ("learning_rate", "decay_every", "decay_rate", "heads_rate")
         require_positive(self, *rates)
@@ -148,11 +140,7 @@ class MeshConfig:
     fsdp: int = 1
 
     def __post_init__(self) -> None:
-        """Checks every field.
-
-        Raises:
-            ValueError: naming the field, what was expected and what came.
-        """
+        """Checks every field; `ValueError` names it."""
         check_types(self)
         require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
         require_positive(self, "fsdp")
@@ -168,7 +156,7 @@ class TrainConfig:
         squared_loss: of the distance between true and predicted normals (the paper's);
             False takes the distance itself, which follows the mean angular error.
         coarse_guess_weight: what the consensus' guess of coarse normals weighs in the
-            loss, beside the normals' own distance.
+            loss, next to the normals' own distance.
         lights_guess_weight: what its guess of where the lights are weighs there.
         heads_only: nothing but the heads of a network that has them is trained; the
             rest stays as it was.
@@ -197,22 +185,12 @@ class TrainConfig:
     keep_memory: bool = False
 
     def __post_init__(self) -> None:
-        """Checks every field.
-
-        Raises:
-            ValueError: naming the field, what was expected and what came.
-        """
+        """Checks every field; `ValueError` names it."""
         check_types(self)
-        require_positive(
-            self,
-            *("steps", "log_every", "checkpoint_every", "keep", "validate_every"),
-            "validation_images",
-        )
-        require_not_negative(
-            self,
-            *("seed", "coarse_guess_weight", "lights_guess_weight"),
-            "validation_scenes",
-        )
+        rhythm = ("log_every", "checkpoint_every", "keep", "validate_every")
+        require_positive(self, "steps", *rhythm, "validation_images")
+        weights = ("coarse_guess_weight", "lights_guess_weight")
+        require_not_negative(self, "seed", *weights, "validation_scenes")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -236,11 +214,7 @@ class Config:
     train: TrainConfig = TrainConfig()
 
     def __post_init__(self) -> None:
-        """Checks what fields of different parts mean together.
-
-        Raises:
-            ValueError: naming the field, what was expected and what came.
-        """
+        """Checks what fields of different parts mean together."""
         require(
             self.model.has_maps or not self.train.heads_only,
             "heads_only: expected a network with heads (--model.head-dim above 0), got "

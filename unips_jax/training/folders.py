@@ -40,7 +40,7 @@ def folder_batches(
         num_images: the set sizes that steps draw from.
         seed: of order, set sizes and choice of photographs.
         first: batches to skip.
-        process: this process' number and the number of processes, which share a batch.
+        process: this process' number and how many share a batch.
         workers: reading processes; 0 reads in threads of this one.
 
     Returns:

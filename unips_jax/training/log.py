@@ -1,4 +1,4 @@
-"""What a training run tells: lines, JSON lines, and sinks such as TensorBoard."""
+"""What a training run reports: lines, JSON lines, and sinks such as TensorBoard."""
 
 import contextlib
 import json
@@ -47,7 +47,7 @@ class TrainLog:
             steps: length of the run.
             every: steps between two lines of metrics, each of their means.
             pending: metrics of the steps before `first` that no line holds yet.
-            sink: also takes metrics and pictures, beside TensorBoard if installed.
+            sink: also takes metrics and pictures; TensorBoard does where installed.
         """
         self._active = jax.process_index() == 0
         self._path = workdir / "metrics.jsonl"
@@ -66,11 +66,7 @@ class TrainLog:
 
     @contextlib.contextmanager
     def compiling(self, what: str) -> Iterator[None]:
-        """Tells how long something compiles, which the pace leaves out.
-
-        Args:
-            what: is compiled, a few words.
-        """
+        """Reports how long `what` compiles; the pace leaves that out."""
         say(f"compiling {what}; it takes a minute or so")
         start = time.monotonic()
         with self.untimed():
@@ -87,18 +83,16 @@ class TrainLog:
     def step(self, step: int, metrics: Mapping[str, Any]) -> None:
         """Takes a step's metrics; prints those of the first, then means.
 
-        Args:
-            step: the step.
-            metrics: scalars, on the device until they are needed.
+        Metrics are scalars, on the device until they are needed.
         """
         self._pending.append(metrics)
         if step % self._every == 0:
             means = _means(jax.device_get(self._pending))
             self._pending.clear()
             self.record(step, means)
-            self._tell(step, means)
+            self._print(step, means)
         elif step == self._first + 1:
-            self._tell(step, jax.device_get(metrics))
+            self._print(step, jax.device_get(metrics))
 
     def pending(self) -> list[dict[str, float]]:
         """The metrics that no line holds yet, for a checkpoint."""
@@ -134,7 +128,7 @@ class TrainLog:
         for sink in self._sinks:
             sink.write_images(step, {name: named[name][None] for name in named})
 
-    def _tell(self, step: int, values: Mapping[str, Any]) -> None:
+    def _print(self, step: int, values: Mapping[str, Any]) -> None:
         elapsed = time.monotonic() - self._start - self._untimed
         pace = elapsed / (step - self._first)
         left = duration(pace * (self._steps - step))
@@ -146,7 +140,7 @@ class TrainLog:
 
 
 def duration(seconds: float) -> str:
-    """A duration as people say it: "40 s", "12 min", "3.5 h", "2.1 days"."""
+    """A duration for people: "40 s", "12 min", "3.5 h", "2.1 days"."""
     for unit, size, digits in (("days", 86400, 1), ("h", 3600, 1), ("min", 60, 0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.{digits}f} {unit}"

@@ -27,14 +27,14 @@ from unips_jax.training.compilation import (
     return_freed_memory,
 )
 from unips_jax.training.config import Config, TrainConfig
-from unips_jax.training.guards import (
+from unips_jax.training.log import TrainLog, say
+from unips_jax.training.safety import (
     alone_in,
     any_process,
     check_finite,
     check_input,
     stop_on_sigterm,
 )
-from unips_jax.training.log import TrainLog, say
 from unips_jax.training.sharding import (
     make_mesh,
     replicated,

@@ -19,15 +19,7 @@ _WIDE = 256
 
 
 def make_schedule(config: OptimConfig, steps: int) -> optax.Schedule:
-    """The learning rate at every step.
-
-    Args:
-        config: of the optimiser.
-        steps: length of the run.
-
-    Returns:
-        A function of the step.
-    """
+    """The learning rate at every step of a run."""
     if config.schedule == "cosine":
         return optax.warmup_cosine_decay_schedule(
             0.0 if config.warmup_steps else config.learning_rate,
@@ -52,14 +44,7 @@ def make_schedule(config: OptimConfig, steps: int) -> optax.Schedule:
 
 
 def make_optimizer(config: Config) -> optax.GradientTransformation:
-    """The whole update rule.
-
-    Args:
-        config: of the run.
-
-    Returns:
-        An optax transformation.
-    """
+    """The whole update rule."""
     rule = _update_rule(config.optim, config.train.steps)
     if config.model.has_maps:
         rate = config.optim.heads_rate

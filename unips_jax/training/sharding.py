@@ -21,11 +21,8 @@ _MIN_SPLIT = 2**14
 def make_mesh(config: MeshConfig) -> Mesh:
     """A mesh with the axes "data" and "fsdp".
 
-    Args:
-        config: how many devices along each.
-
     Raises:
-        InputError: if there are not so many devices.
+        InputError: if there are fewer devices.
     """
     devices = jax.device_count()
     data = config.data or devices // config.fsdp
@@ -57,13 +54,7 @@ def state_sharding(state: Any, mesh: Mesh) -> Any:
     """Shardings of a training state: large arrays are split along "fsdp".
 
     Each is split along its longest axis that the devices divide; source: big_vision.
-
-    Args:
-        state: arrays or their shapes.
-        mesh: from `make_mesh`.
-
-    Returns:
-        The same tree of shardings.
+    `state` may hold arrays or their shapes.
     """
     parts = mesh.shape["fsdp"]
 

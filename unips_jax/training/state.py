@@ -33,12 +33,7 @@ class TrainState(NamedTuple):
 
 
 def init_state(config: Config, key: Array) -> TrainState:
-    """The state training starts from; pure, so that it can be jitted.
-
-    Args:
-        config: of the run.
-        key: for the parameters.
-    """
+    """The state training starts from; pure, so that it can be jitted."""
     params = init_params(config.model, key)
     optimizer = make_optimizer(config)
     return TrainState(
@@ -50,15 +45,6 @@ def init_state(config: Config, key: Array) -> TrainState:
 
 
 def new_state(config: Config, key: Array, shardings: Any = None) -> TrainState:
-    """`init_state`, compiled; its program, as large as a step's, does not stay.
-
-    Args:
-        config: of the run.
-        key: for the parameters.
-        shardings: of the state; None for one device.
-
-    Returns:
-        The state, placed as the shardings say.
-    """
+    """`init_state`, compiled; its program, as large as a step's, does not stay."""
     program = jax.jit(functools.partial(init_state, config), out_shardings=shardings)
     return program(key)

@@ -122,11 +122,7 @@ def train_step(
 ) -> tuple[TrainState, dict[str, Array]]:
     """Advances training by one step; pure.
 
-    Args:
-        state: before the step.
-        batch: see `batch_loss`.
-        key: the run's key; the step's own follows from `state.step`.
-        config: of the run.
+    `key` is the run's; the step's own follows from it and `state.step`.
 
     Returns:
         The state after it, and metrics: loss, mae_deg, grad_norm, and untrained, the

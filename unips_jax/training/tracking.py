@@ -1,4 +1,4 @@
-"""Where metrics and pictures of a training run go beside its own file.
+"""Where else the metrics and pictures of a training run go.
 
 Anything with the two methods of `Sink` does: the writers of `clu.metric_writers` have
 them, and few lines make them of another tracker's. TensorBoard is one.
@@ -15,32 +15,20 @@ class Sink(Protocol):
     """Takes what a run measures; only the first process calls it."""
 
     def write_scalars(self, step: int, scalars: Mapping[str, float]) -> None:
-        """Takes numbers.
+        """Takes numbers by their names.
 
-        Args:
-            step: after which they were measured. A resumed run sends again those of
-                steps after its checkpoint.
-            scalars: by their names.
+        A resumed run sends those of steps after its checkpoint again.
         """
 
     def write_images(self, step: int, images: Mapping[str, np.ndarray]) -> None:
-        """Takes pictures.
-
-        Args:
-            step: after which they were made.
-            images: `[1, H, W, 3]`, uint8, by their names.
-        """
+        """Takes pictures, `[1, H, W, 3]`, uint8, by their names."""
 
 
 class TensorBoard:
     """Event files in `workdir/tensorboard`."""
 
     def __init__(self, workdir: Path, first: int) -> None:
-        """Opens the files.
-
-        Args:
-            workdir: of the run.
-            first: steps already done; events of later ones are dropped.
+        """Opens the files; events of steps after `first` are dropped.
 
         Raises:
             ImportError: if tensorboardX is not installed.

@@ -1,7 +1,7 @@
 """Angular errors on held-out scenes, in groups.
 
 The scenes come from keys that training never uses. A constant normal towards the
-viewer is scored beside the network: a result near it means that something is broken.
+viewer is scored too: a result near it means that something is broken.
 """
 
 import textwrap
@@ -124,11 +124,7 @@ def validate(
 
 
 def score_table(scores: dict[str, float]) -> str:
-    """The groups' scores as a few lines for a terminal of 100 columns.
-
-    Args:
-        scores: from `validate`.
-    """
+    """The groups' scores as a few lines for a terminal of 100 columns."""
     groups: dict[str, list[tuple[float, str]]] = {}
     for name, score in scores.items():
         if "/" in name:
@@ -150,13 +146,7 @@ def validation_pictures(
 ) -> dict[str, np.ndarray]:
     """Rows of an image, the true normals, the estimate and its error map.
 
-    Args:
-        params: the network's parameters.
-        config: of the run.
-        count: how many held-out scenes.
-
-    Returns:
-        A picture `[H, 4 H, 3]`, uint8, for each scene by its name.
+    A picture `[H, 4 H, 3]`, uint8, for each of `count` held-out scenes, by its name.
     """
     held_out = estimate_held_out(
         params,

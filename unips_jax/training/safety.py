@@ -21,10 +21,6 @@ from unips_jax.training.step import Batch
 def check_input(config: Config, mesh: Mesh) -> None:
     """Checks that there is data, and that the devices can share it.
 
-    Args:
-        config: of the run.
-        mesh: its devices.
-
     Raises:
         InputError: naming the option, what was expected, what came and the fix.
     """
@@ -76,11 +72,7 @@ def stop_on_sigterm() -> Iterator[threading.Event]:
 
 
 def any_process(flag: bool) -> bool:
-    """Whether any process says so; all get the same answer, and wait for each other.
-
-    Args:
-        flag: what this process says.
-    """
+    """Whether the flag of any process is set; all get the same answer, after a wait."""
     if jax.process_count() == 1:
         return flag
     return bool(multihost_utils.process_allgather(np.asarray(flag)).any())
@@ -90,12 +82,6 @@ def check_finite(
     step: int, batch: Batch, metrics: dict[str, jax.Array], workdir: Path
 ) -> None:
     """Saves the batch and ends the run if the step went wrong.
-
-    Args:
-        step: the step.
-        batch: what it saw.
-        metrics: what came out.
-        workdir: of the run.
 
     Raises:
         FloatingPointError: if loss or gradient are not finite.
