@@ -29,6 +29,13 @@ def modules_after(code):
             "import unips_jax; unips_jax.estimate_normals; unips_jax.load_weights",
             {"unips_jax.scenes", "orbax", "grain", "cv2", "matplotlib", "tyro"},
         ),
+        (
+            "import unips_jax.cli.estimate, unips_jax.cli.demo, unips_jax.cli.view, "
+            "unips_jax.cli.surface, unips_jax.pictures.lettering as letters, numpy; "
+            "letters.write_line(numpy.zeros((30, 90, 3), 'u1'), (0, 15), 'Größe', "
+            "size=15, colour='white')",
+            {"matplotlib", "unips_jax.evaluation"},
+        ),
     ],
 )
 def test_import_is_light(code, absent):

@@ -3,8 +3,8 @@
     python tools/bundle_viewer.py
 
 Needs `npm`. Bundles what the viewer uses of three.js (MIT) into one file, with the
-versions and hashes of `tools/viewer/package-lock.json`, and keeps its licence beside
-it. Writes the environments' light as spherical harmonics, from the tables that ship
+versions and hashes of `tools/viewer/package-lock.json`, next to its licence. Writes the
+environments' light as spherical harmonics, from the tables that ship
 (`unips_jax/assets/environments.npz`, by Poly Haven, CC0-1.0).
 """
 
@@ -31,13 +31,7 @@ ENVIRONMENTS = {"workshop": 15, "forest": 5, "lobby": 8, "sunset": 12}
 
 
 def bundle(sources: Path = SOURCES) -> tuple[bytes, bytes]:
-    """Bundles three.js.
-
-    Args:
-        sources: folder of `three.js`, `package.json` and `package-lock.json`.
-
-    Returns:
-        The script, which defines `THREE`, and the licence.
+    """Bundles three.js: the script, which defines `THREE`, and the licence.
 
     Raises:
         InputError: if npm fails, as it does where an archive has another hash.
@@ -50,12 +44,12 @@ def bundle(sources: Path = SOURCES) -> tuple[bytes, bytes]:
         package = work / "node_modules" / "three"
         version = json.loads((package / "package.json").read_text())["version"]
         banner = f"/* three.js {version}, MIT licence: see three.LICENSE */"
-        _run(
-            work,
-            *("npx", "--no-install", "esbuild", "three.js", "--bundle", "--minify"),
-            *("--format=iife", "--global-name=THREE", "--outfile=three.min.js"),
-            *("--legal-comments=inline", "--charset=ascii", f"--banner:js={banner}"),
+        words = (
+            "npx --no-install esbuild three.js --bundle --minify --format=iife "
+            "--global-name=THREE --outfile=three.min.js --legal-comments=inline "
+            "--charset=ascii"
         )
+        _run(work, *words.split(), f"--banner:js={banner}")
         return (work / "three.min.js").read_bytes(), (package / "LICENSE").read_bytes()
 
 

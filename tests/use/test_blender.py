@@ -49,9 +49,9 @@ import unips_material
 unips_material.register()
 try:
     bpy.ops.import_scene.unips(directory=folder, command=command, max_images=3)
-    told = ""
+    refusal = ""
 except RuntimeError as error:
-    told = str(error)
+    refusal = str(error)
 done = bpy.ops.import_scene.unips(directory=folder, command=command, roughness=1)
 scene = bpy.context.scene
 camera = bpy.data.cameras.new("camera")
@@ -76,7 +76,8 @@ bpy.ops.render.render(write_still=True)
 ball = bpy.context.object
 moved = ball.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
 heights = [vertex.co.z for vertex in moved.vertices]
-facts = {"done": sorted(done), "told": told, "heights": [min(heights), max(heights)]}
+facts = {"done": sorted(done), "refusal": refusal}
+facts["heights"] = [min(heights), max(heights)]
 facts["name"], facts["faces"] = ball.name, len(ball.data.polygons)
 facts["up"] = bool(all(polygon.normal.z > 0 for polygon in ball.data.polygons))
 print("FACTS" + json.dumps(facts), flush=True)
@@ -135,7 +136,7 @@ def test_photographs_become_a_material_and_a_relief(python, tmp_path):
     assert "FACTS" in run.stdout, run.stdout[-2000:] + run.stderr[-2000:]
     facts = json.loads(run.stdout.split("FACTS")[1].splitlines()[0])
     assert facts["done"] == ["FINISHED"] and facts["name"] == "ball"
-    assert "something about the photographs" in facts["told"]
+    assert "something about the photographs" in facts["refusal"]
     assert facts["up"] and facts["faces"] > 2000
 
     # Two units are 64 pixels; the edge of the mask is at 0.2 of the radius.

@@ -61,11 +61,11 @@ def node(monkeypatch):
     def call(command, **_):
         assert command[0] == "unips"
         with (
-            contextlib.redirect_stderr(io.StringIO()) as told,
+            contextlib.redirect_stderr(io.StringIO()) as errors,
             contextlib.redirect_stdout(io.StringIO()),
         ):
             status = main(command[1:])
-        return types.SimpleNamespace(returncode=status, stderr=told.getvalue())
+        return types.SimpleNamespace(returncode=status, stderr=errors.getvalue())
 
     monkeypatch.setattr(module.subprocess, "run", call)
     return module

@@ -5,7 +5,6 @@ lights, each tile lying on the side its light comes from; in their midst a spher
 key to the normals' colours. Where the true normals are known, a map of the errors.
 """
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +13,8 @@ import numpy as np
 
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.images import write_image
-from unips_jax.pictures.maps import frame
+from unips_jax.pictures.lettering import write_line
+from unips_jax.pictures.maps import colours_of, frame
 
 _TILE = 240
 _GAP = 8
@@ -53,17 +53,14 @@ def write_sheet(
             errors.
     """
     view = frame(mask)
-    small_mask = _fit(mask[view].astype(np.float32)[..., None])
-    small_normals = _normalized(_fit(np.where(mask[view][..., None], normals[view], 0)))
-    large = _normalized(_fit(np.where(mask[view][..., None], normals[view], 0), _BLOCK))
-    large_mask = _fit(mask[view].astype(np.float32)[..., None], _BLOCK)
-    inputs = _inputs(images, view, encoded)
+    coverage = mask[view].astype(np.float32)[..., None]
+    kept = np.where(coverage > 0, normals[view], 0)
+    large = (_normalized(_fit(kept, _BLOCK)) + 1) / 2
     blocks = [
-        _grid(inputs),
-        _over_background((large + 1) / 2, large_mask),
-        _grid(_lit_tiles(small_normals, small_mask)),
+        _grid(_inputs(images, view, encoded)),
+        _over_background(large, _fit(coverage, _BLOCK)),
+        _grid(_lit_tiles(_normalized(_fit(kept)), _fit(coverage))),
     ]
-    lines = [title, subtitle]
     labels = [
         f"{_shown(len(images))} of {len(images)} photographs",
         "normals (red: right, green: up, blue: towards the viewer)",
@@ -78,7 +75,14 @@ def write_sheet(
             f"errors, 0 (black) to {_ERROR_LIMIT_DEG:.0f} degrees and more (yellow); "
             f"mean {errors[mask[view]].mean():.2f} degrees"
         )
-    _save(file, _canvas(blocks), lines, labels)
+    canvas = _canvas(blocks)
+    low = canvas.shape[0] - _EDGE
+    write_line(canvas, (_EDGE, 30), title, size=23.6, colour="#f2f2f2")
+    write_line(canvas, (_EDGE, 60), subtitle, size=15.3, colour="#a9adb8")
+    for i, label in enumerate(labels):
+        place = (_EDGE + i * (_BLOCK + _EDGE), low)
+        write_line(canvas, place, label, size=15.3, colour="#a9adb8")
+    write_image(file, canvas)
 
 
 def shade(normals: np.ndarray, azimuth_deg: float) -> np.ndarray:
@@ -164,14 +168,11 @@ def _colour_key() -> np.ndarray:
 
 def _error_block(errors: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Errors as colours, above a bar from 0 to the limit."""
-    import matplotlib
-
-    colours = matplotlib.colormaps["inferno"]
     share = _fit(np.where(mask, errors, 0)[..., None] / _ERROR_LIMIT_DEG, _BLOCK)
     coverage = _fit(mask.astype(np.float32)[..., None], _BLOCK)
     share = np.clip(share / np.maximum(coverage, 1e-6), 0, 1)[..., 0]
-    block = _over_background(colours(share)[..., :3], coverage)
-    bar = colours(np.linspace(0, 1, _BLOCK))[None, :, :3]
+    block = _over_background(colours_of(share), coverage)
+    bar = colours_of(np.linspace(0, 1, _BLOCK))[None]
     block[-_BAR:] = _over_background(bar, np.ones((_BAR, _BLOCK, 1)))
     return block
 
@@ -206,36 +207,3 @@ def _canvas(blocks: Sequence[np.ndarray]) -> np.ndarray:
         left = _EDGE + i * (_BLOCK + _EDGE)
         canvas[_HEADER : _HEADER + _BLOCK, left : left + _BLOCK] = block
     return canvas
-
-
-def _save(
-    file: Path, canvas: np.ndarray, lines: Sequence[str], labels: Sequence[str]
-) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    height, width = canvas.shape[:2]
-    dpi = 100
-    figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi)
-    drawing = FigureCanvasAgg(figure)
-    figure.figimage(canvas, origin="upper")
-
-    def write(x: float, y: float, text: str, size: float, colour: str) -> None:
-        figure.text(
-            x / width,
-            1 - y / height,
-            text,
-            fontsize=size,
-            color=colour,
-            va="center",
-            parse_math=False,
-        )
-
-    write(_EDGE, 30, lines[0], 17, "#f2f2f2")
-    write(_EDGE, 60, lines[1], 11, "#a9adb8")
-    for i, label in enumerate(labels):
-        write(_EDGE + i * (_BLOCK + _EDGE), height - _EDGE, label, 11, "#a9adb8")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # characters that the font lacks
-        drawing.draw()
-    write_image(file, np.asarray(drawing.buffer_rgba())[..., :3])

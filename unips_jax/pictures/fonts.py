@@ -1,17 +1,20 @@
-"""Names in any script on pictures: fonts that have them, and lengths that fit."""
+"""Names in any script on matplotlib's sheets: fonts that have them, lengths that fit.
+
+`lettering` is for pictures without matplotlib.
+"""
 
 import functools
 import unicodedata
 
 from matplotlib import font_manager
 
-# Besides matplotlib's own; colour fonts of bitmaps cannot be drawn by it.
+# In order of preference; matplotlib cannot draw colour fonts of bitmaps.
 _FAMILIES = (
-    *("DejaVu Sans", "Noto Sans", "Noto Sans CJK JP", "Noto Sans CJK SC"),
-    *("Noto Emoji", "Symbola", "WenQuanYi Zen Hei", "Droid Sans Fallback"),
-    *("Hiragino Sans", "PingFang SC", "Apple SD Gothic Neo", "Arial Unicode MS"),
-    *("Yu Gothic", "Microsoft YaHei", "Malgun Gothic", "Segoe UI Symbol"),
-)
+    "DejaVu Sans, Noto Sans, Noto Sans CJK JP, Noto Sans CJK SC, Noto Emoji, Symbola, "
+    "WenQuanYi Zen Hei, Droid Sans Fallback, Hiragino Sans, PingFang SC, "
+    "Apple SD Gothic Neo, Arial Unicode MS, Yu Gothic, Microsoft YaHei, "
+    "Malgun Gothic, Segoe UI Symbol"
+).split(", ")
 _MISSING = "\N{WHITE SQUARE}"
 
 
@@ -37,11 +40,9 @@ def drawable(text: str) -> tuple[str, list[str]]:
 
 
 def shorten(text: str, most: int) -> str:
-    """The text with its middle left out where it is wider than so many letters.
+    """The text with its middle left out where it is wider than `most` letters (>= 3).
 
-    Args:
-        text: of any script; an ideograph is as wide as two letters.
-        most: letters, at least 3.
+    An ideograph is as wide as two letters.
     """
     if text_width(text) <= most:
         return text

@@ -1,7 +1,6 @@
 """Normals, errors and photographs as pictures of 8 bits, white outside the object."""
 
 import cv2
-import matplotlib
 import numpy as np
 
 from unips_jax.io.color import srgb_encode
@@ -12,44 +11,51 @@ ERROR_LIMIT_DEG = 80.0
 
 COLOURS = "inferno"
 
+_MAPS = {"inferno": cv2.COLORMAP_INFERNO, "viridis": cv2.COLORMAP_VIRIDIS}
+
+
+def colours_of(share: np.ndarray, name: str = COLOURS) -> np.ndarray:
+    """Values as colours of one of matplotlib's maps, which OpenCV has as well.
+
+    Args:
+        share: any shape, 0 to 1; clipped.
+        name: "inferno" or "viridis".
+
+    Returns:
+        RGB in [0, 1], in a last axis more.
+    """
+    levels = np.arange(256, dtype=np.uint8)[:, None]
+    table = cv2.applyColorMap(levels, _MAPS[name])[:, 0, ::-1] / 255
+    return table[np.clip(np.asarray(share) * 256, 0, 255).astype(np.uint8)]
+
 
 def normals_picture(normals: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(n + 1) / 2 as RGB.
+    """(n + 1) / 2 as RGB: `[H, W, 3]`, uint8.
 
     Args:
         normals: `[H, W, 3]`, unit or zero.
         mask: `[H, W]`, bool.
-
-    Returns:
-        `[H, W, 3]`, uint8.
     """
     finite = np.nan_to_num(normals, nan=0, posinf=0, neginf=0)
     return _on_white(np.clip((finite + 1) / 2, 0, 1), mask)
 
 
 def error_picture(errors: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Errors from black (0) to bright yellow (80 degrees and more).
+    """Errors from black (0) to bright yellow (80 degrees and more), uint8.
 
     Args:
         errors: `[H, W]`, degrees.
         mask: `[H, W]`, bool.
-
-    Returns:
-        `[H, W, 3]`, uint8.
     """
-    share = np.clip(errors / ERROR_LIMIT_DEG, 0, 1)
-    return _on_white(matplotlib.colormaps[COLOURS](share)[..., :3], mask)
+    return _on_white(colours_of(errors / ERROR_LIMIT_DEG), mask)
 
 
 def photograph_picture(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """A linear image, exposed so that 1% of the object is white, as sRGB.
+    """An image, exposed so that 1% of the object is white, as sRGB, uint8.
 
     Args:
         image: `[H, W, 3]`, linear, of any scale.
         mask: `[H, W]`, bool.
-
-    Returns:
-        `[H, W, 3]`, uint8.
     """
     white = float(np.percentile(image[mask].max(axis=-1), 99))
     linear = np.clip(image / white if white > 0 else image, 0, 1)

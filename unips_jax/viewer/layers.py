@@ -12,11 +12,10 @@ import math
 from typing import Any
 
 import cv2
-import matplotlib
 import numpy as np
 
 from unips_jax.io.color import srgb_encode
-from unips_jax.pictures.maps import frame
+from unips_jax.pictures.maps import colours_of, frame
 from unips_jax.viewer.result import Photograph, Result
 
 MOST_PHOTOGRAPHS = 24
@@ -80,12 +79,7 @@ def view_of(inside: np.ndarray, side: int) -> View:
 
 
 def layers_of(result: Result, view: View) -> dict[str, Any]:
-    """Everything but the photographs, as JSON values.
-
-    Args:
-        result: what to show.
-        view: which part.
-    """
+    """Everything but the photographs, as JSON values."""
     kept = view.shrink(result.inside) > 0.5
     normals = view.shrink_inside(result.normals, result.inside)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -142,7 +136,7 @@ def color_of(result: Result, view: View, mean: np.ndarray | None) -> dict | None
     Args:
         result: what to show.
         view: which part.
-        mean: `[height, width, 3]`, linear, of the photographs; None without any.
+        mean: of the photographs, `[height, width, 3]`, linear; None without any.
     """
     if result.base_color is not None:
         linear, kind = view.shrink(result.base_color), "base"
@@ -158,11 +152,6 @@ def photographs_as_pictures(
     photographs: tuple[Photograph, ...], view: View, inside: np.ndarray
 ) -> tuple[list[tuple[str, np.ndarray]], np.ndarray | None]:
     """Reads all photographs, one by one.
-
-    Args:
-        photographs: the files.
-        view: which part.
-        inside: `[H, W]`, bool.
 
     Returns:
         Names and pictures, `[height, width, 3]`, uint8, of at most 24 of them, evenly
@@ -188,12 +177,7 @@ def photographs_as_pictures(
 def packed_photographs(
     pictures: list[tuple[str, np.ndarray]], budget: int
 ) -> list[dict[str, str]]:
-    """Photographs as JPEG, as large as a number of bytes allows.
-
-    Args:
-        pictures: from `photographs_as_pictures`.
-        budget: in bytes, for all of them.
-    """
+    """Photographs as JPEG, as large as a budget of bytes allows."""
     packed: list[dict[str, str]] = []
     for side in _PHOTOGRAPH_SIDES:
         packed = [{"name": n, "image": _jpeg(p, side)} for n, p in pictures]
@@ -203,11 +187,7 @@ def packed_photographs(
 
 
 def png(pixels: np.ndarray) -> str:
-    """An image as a PNG in a `data:` address.
-
-    Args:
-        pixels: `[H, W, 3]`, uint8.
-    """
+    """An image `[H, W, 3]`, uint8, as a PNG in a `data:` address."""
     options = [cv2.IMWRITE_PNG_COMPRESSION, 6]  # 9 takes ten times as long
     data = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]), options)[1]
     return _address("png", data.tobytes())
@@ -237,5 +217,4 @@ def _white(linear: np.ndarray, inside: np.ndarray) -> float:
 
 
 def _palette(name: str) -> list[list[float]]:
-    colors = matplotlib.colormaps[name](np.linspace(0, 1, 16))[:, :3]
-    return np.round(colors, 4).tolist()
+    return np.round(colours_of(np.linspace(0, 1, 16), name), 4).tolist()

@@ -30,10 +30,6 @@ _SCRIPTS = ("data", "shaders", "mesh", "stage", "light", "measure", "input", "ma
 def write_view(path: Path, result: Result) -> None:
     """Writes a result's page.
 
-    Args:
-        path: of the HTML file.
-        result: what to show; without depth, if it has none.
-
     Raises:
         InputError: if a photograph cannot be read any more, or the file system refuses.
     """
@@ -44,9 +40,6 @@ def with_depth(result: Result) -> Result:
     """The result with a depth, integrated from the normals if there is none.
 
     In the size of the page, which is enough to look at.
-
-    Args:
-        result: with or without.
     """
     if result.depth is not None:
         return result
@@ -72,11 +65,7 @@ def with_depth(result: Result) -> Result:
 
 
 def page(result: Result) -> str:
-    """The page's HTML, of at most 6 MB.
-
-    Args:
-        result: what to show.
-    """
+    """The page's HTML, of at most 6 MB."""
     html = ""
     for side in _SIDES:  # noisy normals of the first may be too large
         view = view_of(result.inside, side)

@@ -69,13 +69,7 @@ class Result:
 def photographs_of(
     images: np.ndarray, names: tuple[str, ...], transfer: Transfer
 ) -> tuple[Photograph, ...]:
-    """Photographs that are in memory.
-
-    Args:
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        names: their N files' names.
-        transfer: how they encode light.
-    """
+    """Photographs `[N, H, W, 3]` that are in memory, uint8, uint16 or float32."""
     return tuple(
         Photograph(
             name,
@@ -130,14 +124,10 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
 
 
 def maps_of(folder: Path, size: tuple[int, ...]) -> dict[str, Any]:
-    """What a folder of results holds beside normals: fields of `Result`.
-
-    Args:
-        folder: with `base_color.png`, `confidence.exr`, both or neither.
-        size: of the normals: height, width.
+    """Base colour and expected error of a folder of results: fields of `Result`.
 
     Raises:
-        InputError: if a file cannot be read, or has another size.
+        InputError: if a file cannot be read, or has another size than the normals.
     """
     maps = {}
     color, error = folder / "base_color.png", folder / "confidence.exr"

@@ -39,14 +39,14 @@ def estimate(
         photographs: the folder.
         command: how unips is called, e.g. "/opt/unips/bin/unips".
         weights: name of shipped weights, or a file.
-        max_images: draw so many of the photographs, with the seed; 0: all.
+        max_images: how many of the photographs to draw, with the seed; 0: all.
         seed: of that draw.
 
     Returns:
-        The folder of results, `NAME_unips/NAME` beside the photographs.
+        The folder of results, `NAME_unips/NAME` next to the photographs.
 
     Raises:
-        UnipsError: what the command said, or that there is none.
+        UnipsError: the command's error, or that there is none.
     """
     name = re.sub(r"\.data$", "", photographs.name)
     output = photographs.parent / f"{name}_unips"
@@ -62,8 +62,8 @@ def estimate(
             "add-on's preferences"
         ) from error
     if run.returncode:
-        said = [line for line in run.stderr.splitlines() if line.startswith("error:")]
-        raise UnipsError(" ".join(said) or f"unips ended with {run.returncode}")
+        errors = [line for line in run.stderr.splitlines() if line.startswith("error:")]
+        raise UnipsError(" ".join(errors) or f"unips ended with {run.returncode}")
     return output / name
 
 
@@ -123,7 +123,7 @@ class ImportPhotographs(bpy.types.Operator):
 
     directory: StringProperty(subtype="DIR_PATH")
     max_images: IntProperty(
-        name="Images", description="Draw so many; 0: all", default=0, min=0
+        name="Images", description="How many to draw; 0: all", default=0, min=0
     )
     seed: IntProperty(name="Seed", description="Of that draw", default=0, min=0)
     roughness: FloatProperty(name="Roughness", default=0.5, min=0, max=1)

@@ -69,7 +69,7 @@ function depthAt(bytes, column, row) {
   return near + ((level - 1) / 65534) * (far - near);
 }
 
-/** Depth between pixels' middles, bilinear; the pixel's own beside the surface's edge. */
+/** Depth between pixels' middles, bilinear; the pixel's own at the surface's edge. */
 function depthBetween(bytes, column, row) {
   const [left, top] = [Math.floor(column - 0.5), Math.floor(row - 0.5)];
   const [right, down] = [column - 0.5 - left, row - 0.5 - top];

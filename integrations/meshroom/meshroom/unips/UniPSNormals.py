@@ -17,7 +17,7 @@ from typing import Any
 
 from meshroom.core import desc
 
-# What a folder of photographs may hold beside them.
+# What a folder of photographs may hold besides.
 MAPS = {"mask", "normal", "normals", "depth", "albedo"}
 IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".exr", ".hdr", ".bmp"}
 
@@ -47,14 +47,13 @@ class UniPSNormals(desc.Node):
             name="maskFolder",
             label="Mask Folder",
             description="Masks named POSE.png, or as one of the pose's photographs; "
-            "without one, the mask beside the photographs is taken.",
+            "without one, the mask among the photographs is taken.",
             value="",
         ),
         desc.IntParam(
             name="maxImages",
             label="Max Images",
-            description="Use so many photographs of a pose, drawn with the seed; 0: "
-            "all.",
+            description="Number of photographs of a pose, drawn with the seed; 0: all.",
             value=0,
             range=(0, 100, 1),
         ),
@@ -246,9 +245,9 @@ def _run(command: list[str]) -> None:
             f"{error.strerror}; give its path as Command"
         ) from error
     if run.returncode:
-        said = [line for line in run.stderr.splitlines() if line.startswith("error:")]
+        errors = [line for line in run.stderr.splitlines() if line.startswith("error:")]
         raise RuntimeError(
-            " ".join(said).removeprefix("error: ") or f"exit status {run.returncode}"
+            " ".join(errors).removeprefix("error: ") or f"exit status {run.returncode}"
         )
 
 
@@ -257,7 +256,7 @@ def _is_photograph(path: Path) -> bool:
 
 
 def _mask(pose: str, photographs: list[Path], folder: str) -> Path | None:
-    """The pose's mask in the mask folder; else one beside the photographs."""
+    """The pose's mask in the mask folder; else one among the photographs."""
     if folder:
         for stem in (pose, *(path.stem for path in photographs)):
             for path in sorted(Path(folder).glob(f"{stem}.*")):

@@ -1,0 +1,90 @@
+"""Lines of text on pictures, in fonts that have their letters."""
+
+import functools
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+_NO_CHARACTER = "\U0010ffff"  # what fonts draw for it, they draw for all that they lack
+# Looked for by name in the system's folders, when the first of all lacks a letter.
+_OTHERS = (
+    "NotoSans-Regular.ttf NotoSansCJK-Regular.ttc NotoEmoji-Regular.ttf "
+    "DroidSansFallbackFull.ttf wqy-zenhei.ttc Symbola.ttf seguisym.ttf msyh.ttc "
+    "malgun.ttf YuGothM.ttc PingFang.ttc AppleSDGothicNeo.ttc Arial Unicode.ttf"
+).split()
+
+
+def write_line(
+    picture: np.ndarray,
+    place: tuple[float, float],
+    text: str,
+    *,
+    size: float,
+    colour: str,
+) -> None:
+    """Writes a line of text into a picture, letters that no font has as boxes.
+
+    Args:
+        picture: `[H, W, 3]`, uint8; changed.
+        place: left end of the line, and the middle of its height: x, y in pixels.
+        text: one line, in any script.
+        size: of the letters, in pixels.
+        colour: as in HTML.
+    """
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    x, y = place
+    y += 0.36 * size  # from the middle of the letters to the line that they stand on
+    for font, run in _runs(text, size):
+        draw.text((x, y), run, colour, font, anchor="ls")
+        x += font.getlength(run)
+    picture[:] = np.asarray(image)
+
+
+def _runs(text: str, size: float) -> list[tuple[ImageFont.FreeTypeFont, str]]:
+    """The text in pieces, each with the first font that has its letters."""
+    runs: list[tuple[ImageFont.FreeTypeFont, str]] = []
+    for character in text:
+        font = _font_for(character, size)
+        if runs and runs[-1][0] is font:
+            runs[-1] = (font, runs[-1][1] + character)
+        else:
+            runs.append((font, character))
+    return runs
+
+
+def _font_for(character: str, size: float) -> ImageFont.FreeTypeFont:
+    first = _font("", size)
+    if _has(first, character):
+        return first
+    others = (font for name in _OTHERS if (font := _font(name, size)) is not None)
+    return next((font for font in others if _has(font, character)), first)
+
+
+def _has(font: ImageFont.FreeTypeFont, character: str) -> bool:
+    if character.isspace():
+        return True
+    drawn, absent = font.getmask(character), font.getmask(_NO_CHARACTER)
+    return drawn.size != absent.size or bytes(drawn) != bytes(absent)
+
+
+@functools.cache
+def _font(name: str, size: float) -> ImageFont.FreeTypeFont | None:
+    """A font of the system; without a name DejaVu Sans, else Pillow's own."""
+    try:
+        return ImageFont.truetype(name or _dejavu(), size)
+    except OSError:
+        return None if name else ImageFont.load_default(size)
+
+
+def _dejavu() -> str:
+    """DejaVu Sans as it comes with matplotlib, which is not imported for it."""
+    name = "DejaVuSans.ttf"
+    found = importlib.util.find_spec("matplotlib")
+    for folder in (found.submodule_search_locations or ()) if found else ():
+        path = Path(folder) / "mpl-data" / "fonts" / "ttf" / name
+        if path.is_file():
+            return str(path)
+    return name
