@@ -29,9 +29,6 @@ class Command(Protocol):
 def command(main: Callable[[Sequence[str] | None], None]) -> Command:
     """Turns a `main(argv)` into one that reports bad input in one line.
 
-    Args:
-        main: takes the arguments (None: those of the process).
-
     Returns:
         A function with the same argument, returning the exit status: 0, 2 after an
         `InputError` or what else is no bug (a full disk, a device that is not there,
@@ -66,11 +63,7 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
 
 
 def reason_of(error: Exception) -> str | None:
-    """One line for an error that is no bug; None for one that is.
-
-    Args:
-        error: what was raised.
-    """
+    """One line for an error that is no bug; None for one that is."""
     text = str(error)
     if isinstance(error, InputError):
         pass
@@ -100,10 +93,6 @@ def parse(
 
     Args:
         options: a dataclass; its docstring describes the options.
-        argv: the arguments (None: those of the process).
-        prog: how the command is called.
-        description: shown by --help, above the options.
-        default: values of what is not given.
         negatable: every --flag has its --no-flag.
 
     Raises:
@@ -158,7 +147,6 @@ def one_of(choices: Sequence[str], *, several: bool = False) -> Any:
     """Annotates an option whose choices are known where it is declared.
 
     Args:
-        choices: the values.
         several: it takes one or more of them.
     """
     import tyro
@@ -176,13 +164,7 @@ def _default_if_any(default: str) -> str:
 def print_table(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]
 ) -> None:
-    """Prints a table.
-
-    Args:
-        title: above it.
-        columns: their names.
-        rows: of as many cells.
-    """
+    """Prints a table."""
     from rich.console import Console
     from rich.table import Table
 
@@ -208,16 +190,16 @@ def start_jax() -> None:
         jax.devices()
     except Exception as error:  # an AssertionError without text, among others
         asked = os.environ.get("JAX_PLATFORMS", "")
-        said = f" ({error})" if str(error) else ""
+        reason = f" ({error})" if str(error) else ""
         raise InputError(
             f"JAX_PLATFORMS={asked}: expected a platform that JAX can use here, got "
-            f"none{said}; install JAX's build for it, such as jax[cuda12], or unset "
+            f"none{reason}; install JAX's build for it, such as jax[cuda12], or unset "
             "the variable"
         ) from error
 
 
 def keep_compiled() -> None:
-    """Keeps compiled functions for later runs, unless the user said where to."""
+    """Keeps compiled functions for later runs, unless the user chose a place."""
     import jax
 
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
@@ -234,9 +216,6 @@ def progress(description: str) -> Iterator[Callable[[int, int], None]]:
     """Gives a function of (done, total) that shows progress on standard error.
 
     A bar on a terminal; elsewhere one line at most every ten seconds.
-
-    Args:
-        description: a few words for what is being done.
     """
     if sys.stderr.isatty():
         from rich.console import Console
@@ -277,7 +256,6 @@ def track(
     Args:
         items: what to go through, without what an earlier run did, so that the pace is
             true.
-        description: a few words for what is being done.
         total: number of items, where `items` has no length.
     """
     if total is None:

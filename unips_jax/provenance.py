@@ -1,4 +1,4 @@
-"""Which code made a result: so that results of changed code are told apart."""
+"""Which code made a result: so that results of changed code are kept apart."""
 
 import ast
 import functools

@@ -1,8 +1,8 @@
-"""Warns about photographs from which no method can tell the shape, and of poor masks.
+"""Warns about photographs that show no method the shape, and of poor masks.
 
 Looks at the mask, at about 20,000 pixels inside it, and compares the images with each
-other at 2,000 of these, so it costs little beside an estimate. The thresholds are rules
-of thumb; a warning never stops anything.
+other at 2,000 of these, so it costs little next to an estimate. The thresholds are
+rules of thumb; a warning never stops anything.
 """
 
 import math
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from unips_jax.capture.findings import Finding, some
+from unips_jax.capture.findings import Finding, by_file, some
 from unips_jax.io.masks import mask_box
 
 _SAMPLES = 20_000
@@ -36,7 +36,6 @@ def look_at_values(
     Args:
         images: `[N, H, W, 3]`, uint8, uint16 or float32, not black inside the mask.
         mask: `[H, W]`, bool, with at least one pixel.
-        names: the N file names.
     """
     inside = int(mask.sum())
     step = math.ceil((inside / _SAMPLES) ** 0.5)
@@ -127,19 +126,17 @@ def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Findin
     if samples.dtype != np.float32:
         full = np.iinfo(samples.dtype).max
         clipped[white[:, 0] < 2 * _DARK_LEVELS] = 0  # few levels: many share the last
-    found = []
-    shares = _above(names, clipped, _SATURATED_SHARE)
-    if shares:
-        told = [f"{name} {share:.0%}" for name, share in shares.items()]
-        found.append(
-            Finding(
-                "saturated",
-                f"saturated: {some(told)} of the object at the largest value; expose "
-                "less",
-                tuple(shares),
-                shares,
-            )
-        )
+    shares = {
+        name: float(share)
+        for name, share in zip(names, clipped, strict=True)
+        if share > _SATURATED_SHARE
+    }
+    found = by_file(
+        "saturated",
+        shares,
+        "{:.0%}",
+        "saturated: {} of the object at the largest value; expose less",
+    )
     reach = np.percentile(brightest, 99, axis=-1).astype(np.float64)
     unlit = _unlit(reach, names)
     if samples.dtype != np.float32:
@@ -148,17 +145,13 @@ def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Findin
             for name, level in zip(names, reach, strict=True)
             if level < _DARK_LEVELS and not any(name in f.files for f in unlit)
         }
-        if levels:
-            told = [f"{name} {level:.0f}" for name, level in levels.items()]
-            found.append(
-                Finding(
-                    "underexposed",
-                    "underexposed: the brightest of the object reach only level "
-                    f"{some(told)} of {full}; expose more",
-                    tuple(levels),
-                    levels,
-                )
-            )
+        found += by_file(
+            "underexposed",
+            levels,
+            "{:.0f}",
+            "underexposed: the brightest of the object reach only level {} of "
+            f"{full}; expose more",
+        )
     return found + unlit
 
 
@@ -178,14 +171,6 @@ def _unlit(reach: np.ndarray, names: Sequence[str]) -> list[Finding]:
             {name: level},
         )
     ]
-
-
-def _above(names: Sequence[str], values: np.ndarray, limit: float) -> dict[str, float]:
-    return {
-        name: float(value)
-        for name, value in zip(names, values, strict=True)
-        if value > limit
-    }
 
 
 def _light_findings(samples: np.ndarray, names: Sequence[str]) -> list[Finding]:

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 
 from unips_jax.capture.advice import look_at_values
-from unips_jax.capture.findings import Finding, some
+from unips_jax.capture.findings import Finding, by_file, some
 from unips_jax.capture.light import look_at_encoding, look_at_light
 from unips_jax.capture.motion import Motion, find_motion
 from unips_jax.io.masks import mask_box
 from unips_jax.io.photographs import Capture
 
-_UNTAGGED = "8-bit values"  # the rule of `io.color` where nothing tells
+_UNTAGGED = "8-bit values"  # the rule of `io.color` where no tag says
 _FOCUS_SIDE = 1024
 _BLURRED = 0.7  # of the median of fine detail over coarse
 _EXPOSURES = 1.26  # a third of a stop
@@ -26,8 +26,6 @@ def check_capture(
     """Lists what is wrong with photographs; empty if nothing is.
 
     Args:
-        capture: the photographs, and where the object is.
-        names: their file names.
         motion: from `find_motion`, where it is known already; of photographs that were
             brought back to their place, what was left is 0.
     """
@@ -52,18 +50,13 @@ def _look_at_motion(motion: Motion, names: Sequence[str]) -> list[Finding]:
         names[i]: float(np.hypot(*motion.offsets[i]))
         for i in np.flatnonzero(motion.moved).tolist()
     }
-    if not distances:
-        return []
-    told = [f"{name} {distance:.0f}" for name, distance in distances.items()]
-    return [
-        Finding(
-            "moved",
-            f"moved: {some(told)} pixels from where the others lie; --register brings "
-            "them back, or leave them out; next time fix camera and object",
-            tuple(distances),
-            distances,
-        )
-    ]
+    return by_file(
+        "moved",
+        distances,
+        "{:.0f}",
+        "moved: {} pixels from where the others lie; --register brings them back, or "
+        "leave them out; next time fix camera and object",
+    )
 
 
 def _look_at_focus(
@@ -72,16 +65,7 @@ def _look_at_focus(
     """Photographs with far less fine detail, for their coarse, than the others."""
     if len(images) < 3:
         return []
-    rows, columns = mask_box(mask)
-    middle_y, middle_x = (
-        (rows.start + rows.stop) // 2,
-        (columns.start + columns.stop) // 2,
-    )
-    half = _FOCUS_SIDE // 2
-    rows = slice(max(rows.start, middle_y - half), min(rows.stop, middle_y + half))
-    columns = slice(
-        max(columns.start, middle_x - half), min(columns.stop, middle_x + half)
-    )
+    rows, columns = (_middle(side, _FOCUS_SIDE) for side in mask_box(mask))
     inside = cv2.erode(mask[rows, columns].astype(np.uint8), np.ones((9, 9))) > 0
     if inside.sum() < 400:
         return []
@@ -92,18 +76,18 @@ def _look_at_focus(
         for name, value in zip(names, detail, strict=True)
         if value < _BLURRED * typical
     }
-    if not soft:
-        return []
-    told = [f"{name} {share:.0%}" for name, share in soft.items()]
-    return [
-        Finding(
-            "out of focus",
-            f"out of focus or shaken: {some(told)} of the others' fine detail; leave "
-            "them out or take them again, focus fixed",
-            tuple(soft),
-            soft,
-        )
-    ]
+    return by_file(
+        "out of focus",
+        soft,
+        "{:.0%}",
+        "out of focus or shaken: {} of the others' fine detail; leave them out or take "
+        "them again, focus fixed",
+    )
+
+
+def _middle(side: slice, most: int) -> slice:
+    spare = max(side.stop - side.start - most, 0) // 2
+    return slice(side.start + spare, side.stop - spare)
 
 
 def _detail(image: np.ndarray, inside: np.ndarray) -> float:
@@ -132,23 +116,19 @@ def _look_at_cameras(capture: Capture, names: Sequence[str]) -> list[Finding]:
                 others,
             )
         )
-    told = [exposure for exposure in capture.exposures if exposure]
-    if told and max(told) > _EXPOSURES * min(told):
-        typical = statistics.median(told)
+    known = [exposure for exposure in capture.exposures if exposure]
+    if known and max(known) > _EXPOSURES * min(known):
+        typical = statistics.median(known)
         ratios = {
             name: exposure / typical
             for name, exposure in zip(names, capture.exposures, strict=True)
             if exposure and not 1 / _EXPOSURES < exposure / typical < _EXPOSURES
         }
-        shown = [f"{name} x{ratio:.2g}" for name, ratio in ratios.items()]
-        found.append(
-            Finding(
-                "exposure changes",
-                f"exposure changes: {some(shown)} of the usual, by EXIF data; set "
-                "time, aperture and ISO by hand, or dark photographs are noisy and "
-                "bright ones saturated",
-                tuple(ratios),
-                ratios,
-            )
+        found += by_file(
+            "exposure changes",
+            ratios,
+            "x{:.2g}",
+            "exposure changes: {} of the usual, by EXIF data; set time, aperture and "
+            "ISO by hand, or dark photographs are noisy and bright ones saturated",
         )
     return found

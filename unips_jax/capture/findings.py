@@ -26,6 +26,22 @@ class Finding:
         return {**dataclasses.asdict(self), "files": [*self.files], "figures": figures}
 
 
+def by_file(
+    kind: str, values: Mapping[str, float], shown: str, text: str
+) -> list[Finding]:
+    """One finding about the files that have a value; none where no file has.
+
+    Args:
+        values: what was measured, by file.
+        shown: how a value is written, such as `"{:.0%}"`.
+        text: with `{}` where the files and their values go.
+    """
+    if not values:
+        return []
+    listed = some([f"{name} {shown.format(value)}" for name, value in values.items()])
+    return [Finding(kind, text.format(listed), tuple(values), values)]
+
+
 def some(items: Sequence[str], limit: int = 4) -> str:
     """The first of a list, and how many more there are."""
     more = f" and {len(items) - limit} more" if len(items) > limit else ""

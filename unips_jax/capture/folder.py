@@ -10,7 +10,7 @@ from unips_jax.capture.findings import Finding, some
 from unips_jax.capture.masks import TRUSTED
 from unips_jax.capture.prepare import with_suggested_mask
 from unips_jax.errors import InputError
-from unips_jax.io.color import Transfer, encoding_of
+from unips_jax.io.color import Transfer
 from unips_jax.io.formats import Encoded
 from unips_jax.io.images import MAX_PIXELS, image_header, read_bytes
 from unips_jax.io.photographs import Capture, read_capture
@@ -67,10 +67,7 @@ def check_photographs(
     """Looks at photographs, and at those that fit together more closely.
 
     Args:
-        selection: which files.
-        transfer: how values encode light, in place of what the files tell.
-        look_for_mask: where there is no mask file.
-        max_pixels: larger images are refused.
+        transfer: how values encode light, in place of what the files say.
     """
     headers, found = {}, []
     for path in selection.files:
@@ -130,11 +127,11 @@ def _alike(
             continue
         usual = counts.most_common(1)[0][0]
         others = [n for n in headers if n in names and of(headers[n]) != usual]
-        told = [f"{name} has {of(headers[name])}" for name in others]
+        shown = [f"{name} has {of(headers[name])}" for name in others]
         found.append(
             Finding(
                 kind,
-                f"{kind}: {some(told)}, the others {usual}; {fix}",
+                f"{kind}: {some(shown)}, the others {usual}; {fix}",
                 tuple(others),
             )
         )
@@ -143,6 +140,4 @@ def _alike(
 
 
 def _encoding(header: Encoded) -> str:
-    return encoding_of(
-        header.dtype, icc=header.icc, gamma=header.gamma, srgb=header.srgb
-    ).transfer
+    return header.encoding.transfer

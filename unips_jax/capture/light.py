@@ -18,12 +18,7 @@ _ONE_SIDE = 0.27  # of the mean direction, across the view
 _OPPOSITE = 0.05
 _ALONG = 10.0  # degrees from the lens' axis
 _ALONG_MOST = 15.0
-_SIDES = ("right", "upper right", "top", "upper left") + (
-    "left",
-    "lower left",
-    "bottom",
-    "lower right",
-)
+_SIDES = "right,upper right,top,upper left,left,lower left,bottom,lower right"
 _RANK = 3
 _MATTE = 0.01
 _CLEARLY = 2.7
@@ -38,7 +33,6 @@ def rough_lights(
     Args:
         images: `[N, H, W, 3]`.
         mask: `[H, W]`, bool: one object and its outline.
-        transfer: how values encode light.
 
     Returns:
         None where the mask's outline is not the object's.
@@ -79,7 +73,7 @@ def look_at_light(
             Finding(
                 "light along the lens",
                 "light along the lens in all photographs (about "
-                f"{np.median(tilts):.0f} degrees beside it): they hardly tell the "
+                f"{np.median(tilts):.0f} degrees off it): they hardly show the "
                 "shape; hold the lamp well to the left, right, top and bottom",
                 figures={"median tilt": float(np.median(tilts))},
             )
@@ -89,22 +83,22 @@ def look_at_light(
     if np.hypot(*mean) < _ONE_SIDE or (lights[:, :2] @ towards).min() < -_OPPOSITE:
         return []
     azimuth = float(np.degrees(np.arctan2(mean[1], mean[0])))
-    side = round(azimuth / 45) % 8
+    side = round(azimuth / 45)
     return [
         Finding(
             "light from one side",
-            f"light from one side only, the {_SIDES[side]}: the other side is told "
-            f"badly; add photographs with light from the {_SIDES[(side + 4) % 8]}",
+            f"light from one side only, the {_side(side)}: the other side is "
+            f"badly known; add photographs with light from the {_side(side + 4)}",
             figures={"azimuth": azimuth, "mean": float(np.hypot(*mean))},
         )
     ]
 
 
 def look_at_encoding(images: np.ndarray, mask: np.ndarray) -> list[Finding]:
-    """Says if 8-bit values that nothing tells to be sRGB or linear fit as linear ones.
+    """Says if 8-bit values without a tag fit better as linear ones.
 
     Matte surfaces under N lamps are of rank 3 in linear light, but for shadows. Objects
-    that are not matte tell nothing.
+    that are not matte say nothing.
 
     Args:
         images: `[N, H, W, 3]`, uint8, without tags.
@@ -138,6 +132,10 @@ def _beyond_rank(values: np.ndarray) -> float:
     """The share of what is beyond rank 3 in what is beyond rank 1."""
     energy = np.linalg.svd(values, compute_uv=False).astype(np.float64) ** 2
     return float(energy[_RANK:].sum() / max(energy[1:].sum(), 1e-12))
+
+
+def _side(index: int) -> str:
+    return _SIDES.split(",")[index % 8]
 
 
 def _reduced(image: np.ndarray, scale: float) -> np.ndarray:

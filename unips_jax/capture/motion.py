@@ -67,11 +67,8 @@ def find_motion(images: np.ndarray, mask: np.ndarray | None = None) -> Motion:
     limit = max(_LEAST, _SHARE * max(height, width))
     rows, columns = slice(0, height), slice(0, width)
     if mask is not None and mask.any():
-        rows, columns = mask_box(mask)
-        margin = round(
-            _MARGIN * max(rows.stop - rows.start, columns.stop - columns.start)
-        )
-        rows, columns = mask_box(mask, margin)
+        longer = max(side.stop - side.start for side in mask_box(mask))
+        rows, columns = mask_box(mask, round(_MARGIN * longer))
     shape = rows.stop - rows.start, columns.stop - columns.start
     scale = min(1.0, _SIDE / max(shape))
     nothing = Motion(np.zeros((count, 2)), np.ones(count), 0, limit)

@@ -15,10 +15,7 @@ from unips_jax.io.photographs import Capture
 
 
 def with_suggested_mask(capture: Capture) -> Capture:
-    """The same photographs, with the object's mask where it can be told.
-
-    Args:
-        capture: photographs without a mask file.
+    """The same photographs, with the object's mask where it can be found.
 
     Returns:
         `mask_contrast` is the figure; below `masks.TRUSTED` the mask is as it was.
@@ -37,9 +34,7 @@ def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> 
     """The same photographs without the light that a dark frame has.
 
     Args:
-        capture: the photographs.
         dark: taken without the lamp, as the others in all else.
-        names: of the photographs.
 
     Returns:
         Integers become uint16, so that dark parts keep their levels.

@@ -29,7 +29,6 @@ def register(
 
     Args:
         images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        motion: from `find_motion`.
 
     Returns:
         The images, of the same type; `[H, W]` bool, where all of them have content;
@@ -69,8 +68,8 @@ def register(
 def _refined(rest: np.ndarray, field: np.ndarray, start: np.ndarray) -> np.ndarray:
     """The map from places of the others' field to those of a field, near `start`.
 
-    Each of overlapping tiles tells a shift; the similarity (shift, turn, scale) is
-    taken that most of them agree upon, or their shift alone where they tell no more.
+    Each of overlapping tiles gives a shift; the similarity (shift, turn, scale) is
+    taken that most of them agree upon, or their shift alone where they give no more.
     """
     height, width = rest.shape
     back = field_back(field, start)
@@ -120,7 +119,7 @@ def _after(matrix: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def _scaled(matrix: np.ndarray, scale: float) -> np.ndarray:
-    """The same map between pictures that are so many times as large."""
+    """The same map between pictures `scale` times as large."""
     turn, shift = matrix[:, :2], matrix[:, 2]
     centre = np.full(2, (scale - 1) / 2)  # pixels lie at the middle of their squares
     shift = scale * shift + centre - turn @ centre

@@ -15,7 +15,7 @@ from unips_jax.io.images import MAX_PIXELS, write_image
 from unips_jax.io.naming import VIDEO_SUFFIXES
 
 KEYFRAMES = 12
-"""So many frames of a video are taken unless told otherwise."""
+"""Frames that are taken of a video by default."""
 
 _LOOKED_AT = 300  # frames
 _THUMB = 48  # pixels of the longer side
@@ -39,8 +39,7 @@ def unpacked(
     Args:
         path: a TIFF of several pages, or a video of a still object under a lamp that
             moves.
-        frames: of a video so many are taken, whose light differs most.
-        max_pixels: of a page or frame.
+        frames: how many of a video are taken, those whose light differs most.
 
     Raises:
         InputError: if it cannot be read, or holds too little.
@@ -133,13 +132,9 @@ def _unpack_video(path: Path, folder: Path, frames: int, max_pixels: int) -> Non
 
 
 def choose_frames(seen: list[_Seen], count: int) -> list[int]:
-    """Which frames differ most in light, and are sharp beside their neighbours.
+    """Which frames differ most in light, and are sharp among their neighbours.
 
     Each next one is the farthest from all that were chosen before (Gonzalez, 1985).
-
-    Args:
-        seen: the frames.
-        count: how many, if there are as many.
     """
     sharp = [
         index
@@ -170,23 +165,19 @@ def _look_through(path: Path, max_pixels: int) -> list[_Seen]:
     seen = []
     for number, frame in _frames(path, max_pixels, step):
         grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.float32)
-        scale = _THUMB / max(grey.shape)
-        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        coarse = float(
-            np.abs(
-                cv2.Laplacian(
-                    cv2.resize(
-                        grey, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA
-                    ),
-                    cv2.CV_32F,
-                )
-            ).mean()
+        small = _reduced(grey, _THUMB / max(grey.shape))
+        fine, coarse = (
+            float(np.abs(cv2.Laplacian(picture, cv2.CV_32F)).mean())
+            for picture in (grey, _reduced(grey, 0.25))
         )
-        fine = float(np.abs(cv2.Laplacian(grey, cv2.CV_32F)).mean())
         shading = small.ravel() / max(float(small.mean()), 1e-6)
         if small.mean() > 2:  # levels: the lamp is on
             seen.append(_Seen(number, shading, fine / max(coarse, 1e-6)))
     return seen
+
+
+def _reduced(grey: np.ndarray, scale: float) -> np.ndarray:
+    return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
 def _frames(

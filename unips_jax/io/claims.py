@@ -53,12 +53,7 @@ def claim(lock: Path, *, wait: bool = False) -> Iterator[bool]:
 
 
 def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:
-    """Yields every item while it is ours; what others have comes last, once they end.
-
-    Args:
-        items: pieces of work.
-        lock: gives the file that stands for one; see `claim`.
-    """
+    """Yields every item while it is ours; what others hold comes last."""
     others = []
     for item in items:
         with claim(lock(item)) as ours:
@@ -74,11 +69,10 @@ def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:
 def write_whole(path: Path, data: bytes) -> None:
     """Writes a file that is complete or absent, whatever happens.
 
-    A temporary file beside it is written first, which a killed process may leave.
+    A temporary file in its folder is written first, which a killed process may leave.
 
     Args:
         path: the file; its folder is made if it is not there.
-        data: what goes into it.
 
     Raises:
         InputError: if it cannot be written; what was there before stays.
@@ -107,9 +101,6 @@ def write_whole(path: Path, data: bytes) -> None:
 def writing(path: Path) -> Iterator[None]:
     """Names what was being written when the file system refuses.
 
-    Args:
-        path: of the file or folder that the block writes.
-
     Raises:
         InputError: in place of an OSError.
     """
@@ -126,7 +117,6 @@ def make_folder(path: Path, option: str) -> None:
     """Makes a folder, unless it is there.
 
     Args:
-        path: of the folder.
         option: of the command line that gave it.
 
     Raises:

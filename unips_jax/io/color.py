@@ -30,7 +30,7 @@ class Encoding:
 
     Attributes:
         transfer: the transfer function.
-        rule: what told it.
+        rule: where that is known from.
         table: of integers: what each value is to be replaced by, so that the transfer
             function holds; None where it holds already.
     """
@@ -57,9 +57,7 @@ def encoding_of(
     renderers write them so.
 
     Args:
-        dtype: of the stored pixels.
-        icc: the colour profile; empty where there is none.
-        gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unsaid.
+        gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unknown.
         srgb: whether another tag says sRGB.
     """
     curve = icc_curve(icc)
@@ -81,9 +79,6 @@ def icc_curve(profile: bytes) -> np.ndarray | None:
     """Linear light over 1024 values from 0 to 1, by a profile's (green) tone curve.
 
     Source: ICC.1:2022, 9.2 (tags), 10.6 `curveType`, 10.18 `parametricCurveType`.
-
-    Args:
-        profile: an ICC profile.
 
     Returns:
         `[1024]`; None where the profile has no such curve, or is damaged.
@@ -147,7 +142,6 @@ def as_linear(image: np.ndarray, transfer: Transfer) -> np.ndarray:
 
     Args:
         image: uint8, uint16 or float32, of any shape.
-        transfer: how its values encode light.
     """
     values = as_float(image)
     if transfer == "srgb":

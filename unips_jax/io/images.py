@@ -20,11 +20,11 @@ import OpenEXR
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
-from unips_jax.io.color import Encoding, encoding_of
+from unips_jax.io.color import Encoding
 from unips_jax.io.formats import Damaged, Encoded, NotRead, decode, open_encoded
 
 MAX_PIXELS = 200_000_000
-"""The largest image that is read unless told otherwise; sensors have 150 million."""
+"""The largest image that is read by default; sensors have 150 million."""
 
 _DIAGONAL_MM = math.hypot(36, 24)
 _WIDEST = 40  # bytes of a pixel: four doubles and room for metadata
@@ -39,7 +39,7 @@ class ImageFile:
         pixels: `[H, W, C]`, C = 3 (RGB) or 1 (grey), uint8, uint16 or float32.
         alpha: `[H, W]`, of the same type; None where there is none.
         orientation: by EXIF, 1 (upright) to 8, applied already.
-        focal: focal length in pixels, by EXIF; None where it is not told.
+        focal: focal length in pixels, by EXIF; None where unknown.
         header: what else the file says.
     """
 
@@ -53,8 +53,7 @@ class ImageFile:
     @property
     def encoding(self) -> Encoding:
         """How its values encode light, by its own tags."""
-        told = self.header
-        return encoding_of(told.dtype, icc=told.icc, gamma=told.gamma, srgb=told.srgb)
+        return self.header.encoding
 
     @property
     def channels(self) -> int:
@@ -64,9 +63,6 @@ class ImageFile:
 
 def read_image(path: Path) -> np.ndarray:
     """Reads an image's pixels: `[H, W, 1 or 3]`, as in `ImageFile`, all finite.
-
-    Args:
-        path: the file.
 
     Raises:
         InputError: if the file cannot be read, is damaged, is of a kind that is not
@@ -83,9 +79,7 @@ def read_image_file(
     """Reads an image file. Values need not be finite.
 
     Args:
-        path: the file.
         vectors: it is a normal map: EXR channels X, Y, Z are taken too.
-        max_pixels: larger images are refused before they are decoded.
 
     Raises:
         InputError: if the file cannot be read, is damaged, too large or of a kind that
@@ -97,10 +91,6 @@ def read_image_file(
 
 def read_bytes(path: Path, *, max_pixels: int = MAX_PIXELS) -> bytes:
     """The contents of an image file.
-
-    Args:
-        path: the file.
-        max_pixels: files that are too large for so many pixels are refused.
 
     Raises:
         InputError: if it cannot be read, is empty, too large or no regular file.
@@ -134,12 +124,6 @@ def decode_image(
 ) -> ImageFile:
     """Decodes an image file's contents. Arguments as in `read_image_file`.
 
-    Args:
-        data: the file's bytes.
-        path: named in errors.
-        vectors: it is a normal map.
-        max_pixels: larger images are refused before they are decoded.
-
     Raises:
         InputError: if the file is damaged, too large or of a kind that is not read.
     """
@@ -159,11 +143,6 @@ def decode_image(
 def image_header(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -> Encoded:
     """What an image file's header says; pixels are not decoded.
 
-    Args:
-        data: the file's bytes.
-        path: named in errors.
-        max_pixels: larger images are refused.
-
     Raises:
         InputError: as `decode_image`.
     """
@@ -174,10 +153,6 @@ def check_image(data: bytes, path: Path) -> tuple[int, int, int, np.dtype]:
     """Height, width, channels and type of an image, which is checked to be whole.
 
     A PNG is checked by the checksums of its chunks; other formats are decoded.
-
-    Args:
-        data: the file's bytes.
-        path: named in errors.
 
     Raises:
         InputError: as `decode_image`, or if values are not finite.
@@ -192,12 +167,7 @@ def check_image(data: bytes, path: Path) -> tuple[int, int, int, np.dtype]:
 
 
 def require_finite(path: Path, values: np.ndarray) -> None:
-    """Raises InputError if an image's values are not all finite.
-
-    Args:
-        path: named in the error.
-        values: of any shape; integers are finite.
-    """
+    """Raises InputError if an image's values are not all finite."""
     bad = values.size - np.count_nonzero(np.isfinite(values))
     if bad:
         raise InputError(
@@ -223,7 +193,6 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
     Args:
         path: where; the suffix chooses the format.
-        pixels: see `encode_image`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(encode_image(path.suffix, pixels))
@@ -249,10 +218,6 @@ def write_exr(
 
 def check_picture(path: Path, option: str) -> None:
     """Refuses what `write_image` could not write, before there is a picture.
-
-    Args:
-        path: of the picture.
-        option: of the command line that gave it.
 
     Raises:
         InputError: naming the option.

@@ -9,16 +9,13 @@ from unips_jax.errors import InputError
 from unips_jax.io.images import ImageFile, read_image_file, require_finite
 
 _BLACK = 2  # levels of 255 that count as black
-_NEARLY_BLACK = 32  # beside black: what a JPEG leaves around an object, 1.4% of light
+_NEARLY_BLACK = 32  # next to black: what a JPEG leaves around an object, 1.4% of light
 _LEVELS_SHARE = 0.9
 _LEVEL = 1 / 16
 
 
 def read_mask(path: Path) -> np.ndarray:
     """Reads a mask: `[H, W]` bool; see `mask_of`.
-
-    Args:
-        path: an image of any supported format.
 
     Raises:
         InputError: if the file cannot be read, or nothing is inside.
@@ -35,9 +32,6 @@ def mask_of(file: ImageFile) -> np.ndarray:
     Where transparency varies, the same rule for alpha must hold too. If what it leaves
     is no mask itself (nine in ten pixels nearly black or nearly the brightest, both
     met) but one colour or a cut-out photograph, alpha alone decides.
-
-    Args:
-        file: the image.
 
     Raises:
         InputError: if nothing is inside, or values are not finite.

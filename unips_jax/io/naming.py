@@ -1,4 +1,4 @@
-"""What lists and suffixes tell of a folder's files."""
+"""What lists and suffixes say about a folder's files."""
 
 import importlib.util
 import re

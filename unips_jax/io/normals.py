@@ -41,9 +41,7 @@ def write_normals(
     """Writes `normals.png` and `normals.npy`, and on request `.exr` and `.mat`.
 
     Args:
-        folder: where; it exists.
         normals: `[H, W, 3]`, float32, unit length or 0.
-        exr: also write `normals.exr`.
         mat: also write `normals.mat`, for MATLAB, key `Normal_est`.
         normal_map: convention of the PNG and the EXR.
     """
@@ -128,9 +126,6 @@ def load_normals(path: Path, normal_map: NormalMap = "opengl") -> np.ndarray:
 def read_array(path: Path) -> np.ndarray:
     """Reads a `.npy` file of numbers, as float32.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: if it is none.
     """
@@ -148,9 +143,6 @@ def read_array(path: Path) -> np.ndarray:
 def normals_of(file: ImageFile) -> np.ndarray:
     """What a normal map's image holds; see `read_normals`.
 
-    Args:
-        file: the image.
-
     Raises:
         InputError: if it has not three channels of finite values.
     """
@@ -167,7 +159,6 @@ def has_unit_length(normals: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
 
     Args:
         normals: `[H, W, 3]`.
-        tolerance: in place of 1e-3.
     """
     length = np.linalg.norm(normals.astype(np.float64), axis=-1)
     return np.abs(1 - length) < tolerance
@@ -178,6 +169,5 @@ def turn_normals(normals: np.ndarray, normal_map: NormalMap) -> np.ndarray:
 
     Args:
         normals: `[..., 3]`.
-        normal_map: the convention; see the module.
     """
     return normals * np.array(_SIGNS[normal_map], normals.dtype)

@@ -32,11 +32,10 @@ def read_official(
     """Reads photographs as the authors' reader does.
 
     Args:
-        selection: what to read. With a `normal.tif` beside the photographs, the mask
+        selection: what to read. With a `normal.tif` among the photographs, the mask
             of a folder without its own is where these normals have unit length. A
             training folder (photographs `0*` and `normal.tif`) is not cropped.
         size: side of the result in pixels.
-        read: reads a file.
 
     Returns:
         images `[N, size, size, 3]` (float32, linear RGB, mean 1 inside the mask and 0

@@ -1,7 +1,7 @@
-"""Photographs of one camera that says different things of what is up.
+"""Photographs of one camera whose files disagree about which way is up.
 
 A camera that looks down from a tripod does not know: files that were stored alike are
-shown turned. What fits is told by the edges.
+shown turned. Edges decide what fits.
 """
 
 import dataclasses
@@ -19,11 +19,6 @@ _ALIKE, _CLEARLY = 0.3, 0.15  # correlations
 def oriented_as(file: ImageFile, first: ImageFile, image: np.ndarray) -> ImageFile:
     """A photograph turned as the first: as stored, or as shown, whichever fits.
 
-    Args:
-        file: a photograph of another EXIF orientation.
-        first: the first, which has the say.
-        image: `[H, W, 3]`, its pixels as shown.
-
     Raises:
         InputError: if neither fits clearly.
     """
@@ -37,12 +32,7 @@ def oriented_as(file: ImageFile, first: ImageFile, image: np.ndarray) -> ImageFi
 
 
 def require_orientation(file: ImageFile, first: ImageFile) -> None:
-    """Raises InputError if two photographs' EXIF orientations differ.
-
-    Args:
-        file: one.
-        first: the other, which has the say.
-    """
+    """Raises InputError if two photographs' EXIF orientations differ."""
     if file.orientation != first.orientation:
         raise InputError(
             f"{file.path}: expected EXIF orientation {first.orientation} as in "
@@ -56,7 +46,6 @@ def as_oriented(file: ImageFile, orientation: int) -> ImageFile:
     """The same file, turned as if its EXIF orientation were another.
 
     Args:
-        file: as it is shown.
         orientation: 1 (as stored) to 8.
     """
 

@@ -4,7 +4,7 @@ Which files are taken: see `io.selection`.
 
 The mask is `mask.png` (or another format), or the file given; see `io.masks`. Without
 a mask the whole image counts: nothing is cropped or stretched. Left out, mask or none,
-are pixels that are black in all photographs, where no method can tell anything, and
+are pixels that are black in all photographs, where no method can work, and
 those that are transparent in one that is cut out. EXIF orientation: see `io.images`.
 How values encode light: see `io.color`.
 """
@@ -30,7 +30,7 @@ from unips_jax.io.masks import above_half, lit_pixels, mask_of
 from unips_jax.io.orientation import oriented_as
 from unips_jax.io.selection import Selection, select
 
-_FILES = 10  # a set may have so many times the pixels that a file may have
+_FILES = 10  # times the pixels of a file that a set may have
 
 
 class Photographs(NamedTuple):
@@ -50,7 +50,7 @@ class Photographs(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Capture:
-    """Photographs of one object, read, with what their files tell.
+    """Photographs of one object, read, and what their files say.
 
     Attributes:
         images: `[N, H, W, 3]`, RGB in the files' own type: uint8, uint16 or float32;
@@ -58,12 +58,12 @@ class Capture:
             are 0, as are values outside the mask that are not finite.
         mask: `[H, W]`, bool, with at least one pixel.
         transfer: how the values encode light.
-        transfer_rule: what told it.
-        focal: focal length in pixels by the first file's EXIF data; None where it is
-            not told.
+        transfer_rule: where that is known from.
+        focal: focal length in pixels by the first file's EXIF data; None where
+            unknown.
         notes: what was dealt with, one sentence each.
-        cameras: of each photograph by its EXIF data, empty where not told.
-        exposures: likewise, time x speed / f-number squared; 0 where not told.
+        cameras: of each photograph by its EXIF data, empty where unknown.
+        exposures: time x speed / f-number squared, the same; 0 where unknown.
         mask_contrast: of a mask that was looked for in the photographs; None where it
             was not.
     """
@@ -91,7 +91,6 @@ def read_photographs(
     takes.
 
     Args:
-        source: a folder of photographs, or which of its files (`select`).
         track: wraps the list of files, to show progress.
 
     Raises:
@@ -112,15 +111,13 @@ def read_capture(
     read: Callable[[Path], ImageFile] | None = None,
     track: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> Capture:
-    """Does what `read_photographs` does, opens each file once and tells more.
+    """Does what `read_photographs` does, opens each file once and reports more.
 
     Args:
-        selection: which files.
-        transfer: how the values encode light, in place of what the files tell.
+        transfer: how the values encode light, in place of what the files say.
         mask: `[H, W]`, bool, to be taken as it is, in place of the selection's.
         max_pixels: of a file; all photographs together may have ten times as many.
         read: reads a photograph, or the mask, in place of `read_image_file`.
-        track: wraps the list of files, to show progress.
 
     Raises:
         InputError: as `read_photographs`.
@@ -174,7 +171,7 @@ class _Stack:
         self.images = np.empty((count, *mask.shape, 3), first.pixels.dtype)
         self.brightest = np.zeros(mask.shape, first.pixels.dtype)
         self.opaque = np.ones(mask.shape, bool)
-        self.told = transfer is not None
+        self.given = transfer is not None
         self.encoding = (
             first.encoding if transfer is None else Encoding(transfer, "--transfer")
         )
@@ -189,7 +186,7 @@ class _Stack:
             file = oriented_as(file, self.first, self.images[0])
             self.turned.append(file.path.name)
         _require_alike(file, self.first, self.images)
-        if not self.told and not file.encoding.agrees(self.encoding):
+        if not self.given and not file.encoding.agrees(self.encoding):
             raise InputError(
                 f"{file.path}: expected {self.encoding.transfer} values as "
                 f"{self.first.path.name} ({self.encoding.rule}), got "
@@ -229,7 +226,7 @@ class _Stack:
             if out and not left.any():
                 raise InputError(
                     f"{self.first.path.parent}: expected photographs of an object, got "
-                    f"none of {int(self.mask.sum())} pixels besides those {what}; "
+                    f"none of {int(self.mask.sum())} pixels other than those {what}; "
                     "check the mask"
                 )
             if out:
@@ -258,9 +255,7 @@ def mask_for(
     """The mask of photographs: `[H, W]` bool; all true where there is no mask file.
 
     Args:
-        selection: the files.
         shape: the photographs' height and width.
-        read: reads the mask's file.
 
     Raises:
         InputError: if the mask cannot be read, is empty or has another size.

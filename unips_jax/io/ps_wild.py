@@ -41,7 +41,6 @@ def photographs_of(folder: Path, prefixes: str) -> list[Path]:
     """An object's photographs, sorted by name.
 
     Args:
-        folder: of the object.
         prefixes: letters their names may begin with, in any case.
     """
     return [
@@ -66,9 +65,6 @@ def focal_facts(focal_mm: float | None, size: int) -> dict[str, float | None]:
 def read_meta(folder: Path) -> dict[str, Any]:
     """An object's `meta.json`; empty where there is none.
 
-    Args:
-        folder: of the object.
-
     Raises:
         InputError: if it is there and is no JSON object.
     """
@@ -87,10 +83,6 @@ def read_meta(folder: Path) -> dict[str, Any]:
 def meta_focal(meta: Mapping[str, Any], path: Path) -> float | None:
     """The focal length in pixels; infinite if orthographic, None where unknown.
 
-    Args:
-        meta: from `read_meta`.
-        path: named in errors.
-
     Raises:
         InputError: if it is no length.
     """
@@ -106,10 +98,6 @@ def meta_lights(
     meta: Mapping[str, Any], path: Path
 ) -> tuple[np.ndarray, np.ndarray | None] | None:
     """Directions `[N, 3]` and intensities `[N, 3]`, these None where all are 1.
-
-    Args:
-        meta: from `read_meta`.
-        path: named in errors.
 
     Raises:
         InputError: if they are no such numbers.
@@ -157,7 +145,6 @@ def write_folder(
         images: `[H, W, 3]` each, linear, 1 becomes 65535.
         mask: `[H, W]` bool.
         normals: `[H, W, 3]`, unit inside the mask.
-        facts: JSON values for `meta.json`.
         maps: of the material in [0, 1], `[H, W]` or `[H, W, 3]`, kept as 16-bit TIFF
             under their names.
         depth: `[H, W]`, kept as `depth.exr`; 0 outside the mask.
@@ -264,7 +251,6 @@ def read_object(
     Zeros below or to the right make squares of those that are none.
 
     Args:
-        files: of the object.
         chosen: which photographs, in order.
         size: side of the result, in pixels.
 

@@ -1,4 +1,4 @@
-"""What one estimate was made from: kept beside the normals, and printed."""
+"""What one estimate was made from: kept with the normals, and printed."""
 
 import datetime
 import hashlib
@@ -25,11 +25,7 @@ class HashingReader:
     """Reads image files, and knows their hashes from then on: each is opened once."""
 
     def __init__(self, max_pixels: int = MAX_PIXELS) -> None:
-        """Knows no file.
-
-        Args:
-            max_pixels: larger images are refused.
-        """
+        """Knows no file."""
         self._max_pixels = max_pixels
         self._hashes: dict[Path, str] = {}
 
@@ -56,11 +52,7 @@ def input_record(
     """What the normals follow from, known before anything is computed.
 
     Args:
-        selection: the photographs used and left out.
         weights: name, hash and whether they were trained.
-        options: what the user chose.
-        code: the hash of the code.
-        reader: has read the files, or will.
 
     Raises:
         InputError: if a file cannot be read.
@@ -80,12 +72,7 @@ def input_record(
 
 
 def same_inputs(record: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether two estimates' normals are the same: places and names do not matter.
-
-    Args:
-        record: from `input_record`, or of a folder of results.
-        other: likewise.
-    """
+    """Whether two estimates' normals are the same: places and names do not matter."""
 
     def essence(record: dict[str, Any]) -> list[Any]:
         names = ("unips_jax", "code", "mask_hash", "options")
@@ -110,12 +97,8 @@ def complete_record(
     """The content of `normals.json`, less the files' hashes.
 
     Args:
-        inputs: from `input_record`.
         images: `[N, H, W, 3]`, as the network is given them.
         mask: `[H, W]`, bool.
-        transfer: how the images encode light.
-        transfer_rule: what told it.
-        warnings: about the capture.
     """
     now = datetime.datetime.now(datetime.UTC)
     return {
@@ -143,11 +126,7 @@ def _version(package: str) -> str | None:
 
 
 def summary(record: dict[str, Any]) -> str:
-    """One line for the contact sheet.
-
-    Args:
-        record: from `complete_record`.
-    """
+    """One line for the contact sheet."""
     weights = record["weights"]
     name = f"weights {weights['name']}" if weights["trained"] else _UNTRAINED
     size = f"{record['width']} x {record['height']} pixels"
@@ -155,11 +134,7 @@ def summary(record: dict[str, Any]) -> str:
 
 
 def print_selection(selection: Selection) -> None:
-    """Prints which photographs are used, and which files are not and why.
-
-    Args:
-        selection: the files.
-    """
+    """Prints which photographs are used, and which files are not and why."""
     print(f"{selection.folder}: {len(selection.files)} photographs")
     print_line("used", ", ".join(selection.names))
     for reason, names in selection.left_out.items():
@@ -167,16 +142,12 @@ def print_selection(selection: Selection) -> None:
 
 
 def print_record(record: dict[str, Any]) -> None:
-    """Prints what else the estimate depends on.
-
-    Args:
-        record: from `complete_record`.
-    """
+    """Prints what else the estimate depends on."""
     options, weights = record["options"], record["weights"]
     size = f"{record['width']} x {record['height']}"
     print_line(
         "mask",
-        f"{_mask_told(record)}: {record['mask_pixels']} of {size} pixels are taken",
+        f"{_mask_shown(record)}: {record['mask_pixels']} of {size} pixels are taken",
     )
     if options["reader"] == "official":
         print_line("reader", f"official: square crop, resized to {size}, linear")
@@ -188,15 +159,15 @@ def print_record(record: dict[str, Any]) -> None:
         )
     if record.get("moved_back"):
         moves = record["moved_back"].items()
-        told = [f"{name} {x:+.1f} {y:+.1f}" for name, (x, y) in moves]
-        print_line("moved", f"back by {', '.join(told)} pixels (right, down)")
+        shown = [f"{name} {x:+.1f} {y:+.1f}" for name, (x, y) in moves]
+        print_line("moved", f"back by {', '.join(shown)} pixels (right, down)")
     print_line("weights", f"{weights['name']} (hash {weights['hash'][:8]})")
     if not weights["trained"]:
         print_line("", _UNTRAINED)
     sys.stdout.flush()
 
 
-def _mask_told(record: dict[str, Any]) -> str:
+def _mask_shown(record: dict[str, Any]) -> str:
     contrast = record.get("mask_contrast")
     if record["mask"] or contrast is None:
         return record["mask"] or "none"
@@ -209,12 +180,7 @@ def _mask_told(record: dict[str, Any]) -> str:
 
 
 def print_line(label: str, text: str) -> None:
-    """Prints an indented line with a label, wrapped between words.
-
-    Args:
-        label: a word.
-        text: what to print.
-    """
+    """Prints an indented line with a label, wrapped between words."""
     lines = textwrap.wrap(
         text,
         100,

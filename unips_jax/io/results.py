@@ -1,7 +1,7 @@
 """Folders of results: all files appear at once, and a later run knows them again.
 
 `normals.json`, the record, holds the hash of every other file, so that results that
-were changed or damaged since are told from whole ones.
+were changed or damaged since are known from whole ones.
 """
 
 import contextlib
@@ -51,7 +51,6 @@ def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
 
     Args:
         folder: where; the other files are there already.
-        record: JSON values.
 
     Returns:
         The names of all files of the folder.
@@ -65,11 +64,7 @@ def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """The record of a folder of results; None unless all files are as written.
-
-    Args:
-        folder: need not exist.
-    """
+    """The record of a folder of results; None unless all files are as written."""
     try:
         record = json.loads((folder / RECORD).read_bytes())
         whole = all(
@@ -84,7 +79,6 @@ def check_target(target: Path, source: Path, *, record: str = RECORD) -> None:
     """Refuses what cannot become a folder of results, before there are any.
 
     Args:
-        target: folder for the results; need not exist.
         source: folder of the photographs.
         record: name of the file by which earlier results are known.
 
@@ -102,11 +96,7 @@ def check_target(target: Path, source: Path, *, record: str = RECORD) -> None:
 
 
 def clear_leftovers(parent: Path) -> None:
-    """Removes what killed processes left; results they had set aside come back.
-
-    Args:
-        parent: of folders of results; need not exist.
-    """
+    """Removes what killed processes left; results they had set aside come back."""
     if not parent.is_dir():
         return
     for lock in parent.glob(f"{_WORK}*.lock"):
@@ -126,7 +116,6 @@ def appearing_at_once(target: Path, *, record: str = RECORD) -> Iterator[Path]:
     `clear_leftovers` brings the earlier ones back.
 
     Args:
-        target: the folder of the results.
         record: name of the JSON file whose "files" are those of earlier results.
 
     Raises:

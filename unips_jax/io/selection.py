@@ -58,11 +58,7 @@ def is_map(name: str) -> bool:
 
 
 def is_photograph(path: Path) -> bool:
-    """Whether a file is, by its name, an image, not hidden and no map.
-
-    Args:
-        path: of the file.
-    """
+    """Whether a file is, by its name, an image, not hidden and no map."""
     return (
         path.suffix.lower() in SUFFIXES
         and not path.name.startswith(".")
@@ -104,8 +100,6 @@ def select(
     """Finds the photographs and the mask of a folder, without reading them.
 
     Args:
-        folder: the folder.
-        mask_file: the mask, in place of the folder's own.
         include: patterns such as `img_*.png`; images whose names match one are the
             photographs, whatever they are called, and no others.
         exclude: patterns of names to leave out, the folder's own mask's too.
@@ -254,7 +248,7 @@ def _by_name(
 
 
 def _series(maps: list[Path]) -> list[Path]:
-    """The largest set of files that differ by numbers and have a name besides."""
+    """The largest set of files that differ by numbers and have a name of their own."""
     groups: dict[str, list[Path]] = {}
     for file in maps:
         if not _MAP_ONLY.fullmatch(file.stem):

@@ -41,10 +41,6 @@ _RAW = (  # cameras' raw files that are no TIFF
 def open_encoded(data: bytes, *, vectors: bool = False) -> Encoded:
     """Reads a file's header.
 
-    Args:
-        data: the file's bytes.
-        vectors: the picture is a normal map; see `exr.open_exr`.
-
     Raises:
         NotRead: if it is of a kind that is not read.
         Damaged: if it is damaged.
@@ -108,9 +104,6 @@ def _open_boxed(data: bytes) -> Encoded:
 
 def decode(encoded: Encoded) -> tuple[np.ndarray, np.ndarray | None]:
     """Decodes a file's pixels, as they lie in it.
-
-    Args:
-        encoded: from `open_encoded`.
 
     Returns:
         `[H, W, 1 or 3]` and alpha `[H, W]` or None, of the type that its header says.

@@ -22,10 +22,6 @@ _BYTE = np.dtype(np.uint8)
 def open_raw(data: bytes, name: str) -> Encoded:
     """Reads a camera's raw file.
 
-    Args:
-        data: the file's bytes.
-        name: of its kind.
-
     Raises:
         NotRead: if rawpy is not installed, or does not know the camera.
         Exception: of several kinds, if it is damaged.

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from unips_jax.io.color import Encoding, encoding_of
+
 _ORIENTATION, _EXIF, _FOCAL_35MM, _COLOURS = 0x0112, 0x8769, 0xA405, 0xA001
 _MAKER, _MODEL, _TIME, _APERTURE, _SPEED = 0x010F, 0x0110, 0x829A, 0x829D, 0x8827
 
@@ -47,7 +49,7 @@ class Encoded:
         orientation: by EXIF, 1 (upright) to 8.
         focal_35mm: 35 mm equivalent of the focal length in mm; 0 where unknown.
         icc: the colour profile; empty where there is none.
-        gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unsaid.
+        gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unknown.
         srgb: whether a tag other than the profile says sRGB.
         camera: its maker and model; empty where unknown.
         exposure: seconds times ISO speed over the squared f-number; 0 where unknown.
@@ -70,9 +72,14 @@ class Encoded:
     camera: str = ""
     exposure: float = 0
 
+    @property
+    def encoding(self) -> Encoding:
+        """How its values encode light."""
+        return encoding_of(self.dtype, icc=self.icc, gamma=self.gamma, srgb=self.srgb)
+
 
 def exif_facts(block: bytes) -> dict[str, Any]:
-    """What EXIF data tell; what is damaged counts as unsaid.
+    """What EXIF data hold; what is damaged counts as absent.
 
     Args:
         block: the data, with or without their `Exif` mark; may be empty.
@@ -90,10 +97,10 @@ def exif_facts(block: bytes) -> dict[str, Any]:
                 tags = {**data, **data.get_ifd(_EXIF)}
         except Exception:  # Pillow raises many kinds for damaged data
             tags = {}
-    told = facts_of(tags.get(_ORIENTATION), tags.get(_FOCAL_35MM), tags.get(_COLOURS))
+    facts = facts_of(tags.get(_ORIENTATION), tags.get(_FOCAL_35MM), tags.get(_COLOURS))
     names = (tags.get(_MAKER), tags.get(_MODEL))
     camera = " ".join(n.strip("\0 ") for n in names if isinstance(n, str)).strip()
-    return {**told, "camera": camera, "exposure": _exposure(tags)}
+    return {**facts, "camera": camera, "exposure": _exposure(tags)}
 
 
 def _exposure(tags: dict[int, object]) -> float:

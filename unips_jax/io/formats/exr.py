@@ -28,7 +28,6 @@ def open_exr(data: bytes, *, vectors: bool = False) -> Encoded:
     """Reads an EXR's headers.
 
     Args:
-        data: the file's bytes.
         vectors: the picture is a normal map: channels X, Y, Z are read too, and layers
             named as maps.
 
@@ -79,7 +78,6 @@ def displayed(
     Args:
         image: `[h, w, C]`, the data window.
         data: the window's first and last (x, y).
-        display: likewise.
     """
     (left, top), (right, bottom) = data[0] - display[0], data[1] - display[0] + 1
     width, height = display[1] - display[0] + 1

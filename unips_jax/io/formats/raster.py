@@ -132,8 +132,8 @@ def _png_colours(chunks: dict[bytes, bytes]) -> dict[str, Any]:
         return {"icc": icc}
     if b"sRGB" in chunks:
         return {"srgb": True}
-    if len(told := chunks.get(b"gAMA", b"")) == 4:
-        return {"gamma": int.from_bytes(told, "big") / 100_000}
+    if len(gamma := chunks.get(b"gAMA", b"")) == 4:
+        return {"gamma": int.from_bytes(gamma, "big") / 100_000}
     return {}
 
 
@@ -227,11 +227,7 @@ def open_pnm(data: bytes) -> Encoded:
 
 
 def is_tga(data: bytes) -> bool:
-    """Whether a file is a TGA, which has no mark at its beginning.
-
-    Args:
-        data: the file's bytes.
-    """
+    """Whether a file is a TGA, which has no mark at its beginning."""
     if len(data) < 18 or data[17] & 0xC0:
         return False
     colours, width, height, bits = struct.unpack_from("<5xHx4xHHB", data)

@@ -51,9 +51,6 @@ logging.getLogger("tifffile").addHandler(_COMPLAINTS)
 def open_tiff(data: bytes) -> Encoded:
     """Reads a TIFF's tags.
 
-    Args:
-        data: the file's bytes.
-
     Raises:
         NotRead: if it is of a kind that is not read.
         Damaged: if it holds nothing.
@@ -83,7 +80,7 @@ def open_tiff(data: bytes) -> Encoded:
 
     exif = tags.valueof(_EXIF)
     exif = exif if isinstance(exif, dict) else {}
-    told = exif.get("FocalLengthIn35mmFilm"), exif.get("ColorSpace")
+    facts = exif.get("FocalLengthIn35mmFilm"), exif.get("ColorSpace")
     return Encoded(
         "TIFF",
         page.imagelength,
@@ -94,16 +91,12 @@ def open_tiff(data: bytes) -> Encoded:
         lambda: decode().astype(np.uint8 if palette else kind, copy=False),
         allocated=_tiled_size(page),
         icc=bytes(tags.valueof(_ICC) or b""),
-        **facts_of(tags.valueof(274), *told),  # type: ignore[arg-type]
+        **facts_of(tags.valueof(274), *facts),  # type: ignore[arg-type]
     )
 
 
 def raw_kind(data: bytes) -> str:
-    """Names the raw file that has the form of a TIFF; empty where it is none.
-
-    Args:
-        data: the file's bytes.
-    """
+    """Names the raw file that has the form of a TIFF; empty where it is none."""
     if data[8:10] == b"CR":
         return "a camera's raw file (CR2)"
     try:
