@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from unips_jax.scenes import SceneConfig, geometry, sdf, tracing
+from unips_jax.lighting import reflectance
+from unips_jax.scenes import SceneConfig, geometry, lights, sdf, tracing
 
 CONFIG = SceneConfig()
 FLAT = {"twist": 0.0, "lathe": 0.0, "mirror": 0.0, "wave_warp": 0.0, "wave_ridge": 0.0}
@@ -96,3 +97,30 @@ def look(
             **options,
         )
     )(shape)
+
+
+def matt(geometry_, color=0.6):
+    count = geometry_.mask.size
+    return reflectance.Surface(
+        base_color=jnp.full((3, count), color),
+        roughness=jnp.full(count, 0.5),
+        metallic=jnp.zeros(count),
+        specular=jnp.float32(0),
+    )
+
+
+def constant_environment(radiance):
+    zeros = jnp.zeros(3)
+    full = zeros + radiance
+    return lights.Environment(
+        rotation=jnp.eye(3)[None],
+        zenith=full,
+        horizon=full,
+        ground=full,
+        axes=jnp.broadcast_to(jnp.eye(3), (lights.NUM_LOBES, 3, 3)),
+        half=jnp.full((lights.NUM_LOBES, 2), 0.1),
+        color=jnp.zeros((lights.NUM_LOBES, 3)),
+        clutter=jnp.float32(0),
+        clutter_frequency=jnp.float32(1),
+        scale=jnp.ones(1),
+    )

@@ -3,6 +3,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
+import jax
 import numpy as np
 import pytest
 
@@ -81,7 +82,7 @@ def test_a_failure_leaves_nothing_behind(tmp_path, scene):
 
 
 def test_the_sheet_has_a_tile_per_scene(scene):
-    many = Scene(*(np.stack([leaf] * 4) for leaf in scene))
+    many = jax.tree.map(lambda leaf: np.stack([leaf] * 4), scene)
     many = many._replace(images=np.stack([scene.images[[0, 1, 1]]] * 4))
     sheet = folders.contact_sheet(many, columns=2)
     assert sheet.shape == (2 * (16 + 4), 2 * (24 + 4), 3) and sheet.dtype == np.uint8
@@ -114,7 +115,7 @@ def test_engines_are_not_abbreviated(tmp_path, capsys):
 
 def _stand_in(monkeypatch, scene):
     """Renders the scene, always the same."""
-    batch = Scene(*(np.asarray(leaf)[None] for leaf in scene))
+    batch = jax.tree.map(lambda leaf: np.asarray(leaf)[None], scene)
     monkeypatch.setattr(folders, "render_batch", lambda *_, **__: batch)
 
 

@@ -25,7 +25,7 @@ def scenes(keys):
 def test_scenes_keep_their_promises(scenes):
     assert scenes.images.shape == (12, 3, 32, 32, 3)
     assert scenes.images.dtype == np.float32 and scenes.mask.dtype == bool
-    for leaf in scenes:
+    for leaf in jax.tree.leaves(scenes):
         assert np.all(np.isfinite(leaf))
     assert scenes.images.min() >= 0 and scenes.images.max() <= 1
     outside = ~scenes.mask

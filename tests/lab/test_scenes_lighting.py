@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from known_objects import look, make_shape
+from known_objects import constant_environment, look, make_shape, matt
 
 from unips_jax.lighting import reflectance
 from unips_jax.scenes import SceneConfig, grids, lights, shading
@@ -15,33 +15,6 @@ from unips_jax.scenes.folders import describe
 @pytest.fixture(scope="module")
 def sphere():
     return look(make_shape(balls=[((0, 0, 0), 0.9)]))
-
-
-def matt(geometry_, color=0.6):
-    count = geometry_.mask.size
-    return reflectance.Surface(
-        base_color=jnp.full((3, count), color),
-        roughness=jnp.full(count, 0.5),
-        metallic=jnp.zeros(count),
-        specular=jnp.float32(0),
-    )
-
-
-def constant_environment(radiance):
-    zeros = jnp.zeros(3)
-    full = zeros + radiance
-    return lights.Environment(
-        rotation=jnp.eye(3)[None],
-        zenith=full,
-        horizon=full,
-        ground=full,
-        axes=jnp.broadcast_to(jnp.eye(3), (lights.NUM_LOBES, 3, 3)),
-        half=jnp.full((lights.NUM_LOBES, 2), 0.1),
-        color=jnp.zeros((lights.NUM_LOBES, 3)),
-        clutter=jnp.float32(0),
-        clutter_frequency=jnp.float32(1),
-        scale=jnp.ones(1),
-    )
 
 
 def test_light_bounces_from_what_is_near(sphere):

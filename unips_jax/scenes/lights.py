@@ -8,6 +8,7 @@ reflections and a coarse set of basis directions need.
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -135,6 +136,15 @@ def environment_radiance(
     wave = wave + 0.5 * sine(2.3 * f * d[0] - 1.9 * f * d[2] + 0.2)
     gain = 1 + environment.clutter * wave / (1 + (6 * f * blur) ** 2)
     return colors[0] * gain, colors[1] * gain, colors[2] * gain
+
+
+def surroundings(environment: Environment, directions: Array, blur: float) -> Array:
+    """Radiance from directions `[D, 3]` in each image, before scaling, `[N, 3, D]`."""
+    x, y, z = directions.T
+    width = jnp.float32(blur)
+    return jax.vmap(
+        lambda r: jnp.stack(environment_radiance(environment, r, (x, y, z), width))
+    )(environment.rotation)
 
 
 def _warmth(draws: Draws, amount: float, *shape: int) -> Array:

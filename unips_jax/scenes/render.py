@@ -11,6 +11,7 @@ from unips_jax.scenes.backdrop import above
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.geometry import Geometry, render_geometry
+from unips_jax.scenes.incident import IncidentLight, incident_light
 from unips_jax.scenes.lights import draw_lights, draw_sides
 from unips_jax.scenes.materials import draw_surface, paint
 from unips_jax.scenes.noise import normalize
@@ -43,6 +44,7 @@ class Scene(NamedTuple):
             and the next two are continued beyond the object as the normals are.
         roughness: `[H, W]`, in [0, 1], perceptual.
         metallic: `[H, W]`, in [0, 1].
+        incident: the light of each image; None unless it was asked for.
     """
 
     images: Array
@@ -58,6 +60,7 @@ class Scene(NamedTuple):
     base_color: Array
     roughness: Array
     metallic: Array
+    incident: IncidentLight | None = None
 
 
 def shade(
@@ -68,6 +71,7 @@ def shade(
     config: SceneConfig | None = None,
     light_kind: Array | int | None = None,
     material: Array | int | None = None,
+    incident: bool = False,
 ) -> Scene:
     """Draws materials, lights and a camera response for a geometry.
 
@@ -78,6 +82,7 @@ def shade(
         config: the distribution of scenes.
         light_kind: index into `LIGHT_KINDS` instead of a random one.
         material: index into `MATERIALS` instead of a random one.
+        incident: whether `Scene.incident` is worked out.
     """
     config = config or SceneConfig()
     key_kind, key_surface, key_lights, key_sensor = jax.random.split(key, 4)
@@ -140,6 +145,9 @@ def shade(
         base_color=matters[..., :3],
         roughness=matters[..., 3],
         metallic=matters[..., 4],
+        incident=incident_light(keys, environment, gain, geometry.backdrop)
+        if incident
+        else None,
     )
 
 
@@ -153,6 +161,7 @@ def render_scene(
     material: Array | int | None = None,
     shape: Array | int | None = None,
     camera: Array | int | None = None,
+    incident: bool = False,
 ) -> Scene:
     """Draws a scene: a pure function of the key.
 
@@ -165,6 +174,7 @@ def render_scene(
         material: index into `MATERIALS` instead of a random one.
         shape: index into `SHAPE_KINDS` instead of a random one.
         camera: 0 for an orthographic camera, 1 for a perspective one.
+        incident: whether `Scene.incident` is worked out; static under jit.
 
     Raises:
         ValueError: if `size` is not a multiple of 4.
@@ -182,10 +192,13 @@ def render_scene(
             config=config,
             light_kind=light_kind,
             material=material,
+            incident=incident,
         )
 
 
-@functools.partial(jax.jit, static_argnames=("size", "num_images", "config"))
+@functools.partial(
+    jax.jit, static_argnames=("size", "num_images", "config", "incident")
+)
 def render_batch(keys: Array, **options: Any) -> Scene:
     """Scenes of a batch of keys, compiled.
 

@@ -29,6 +29,7 @@ from unips_jax.scenes.lights import (
     KeyLights,
     environment_radiance,
     key_light_at,
+    surroundings,
 )
 from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.tracing import clearance, soft_visibility
@@ -164,11 +165,8 @@ def light_means(geometry: Geometry, keys: KeyLights, environment: Environment) -
 
 def _environment_table(geometry: Geometry, environment: Environment) -> Array:
     """Radiance from the geometry's directions before scaling, `[N, 3, D]`."""
-    width = jnp.float32(math.sqrt(1.8 / geometry.directions.shape[0]))
-    towards = split(geometry.directions)
-    return jax.vmap(
-        lambda r: jnp.stack(environment_radiance(environment, r, towards, width))
-    )(environment.rotation)
+    directions = geometry.directions
+    return surroundings(environment, directions, math.sqrt(1.8 / directions.shape[0]))
 
 
 def radiance(
