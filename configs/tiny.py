@@ -5,7 +5,7 @@ r"""The embedded default: small enough to train on two CPU cores.
 What: 6.9 M parameters, on endless scenes made on the device: a mixture with more
 environments, metals, machines and plates than `SceneConfig` draws, borders that mix
 with a background under wrong masks, light from one side, and whole frames. Scores are
-compared by `unips validate`, weights chosen by its `--real`.
+compared by `unips validate`, weights chosen by `tools/real_sets.py`.
 Hardware: two CPU cores. Time: 220 steps took 40 minutes there.
 Score: the shipped weights have 9.0 degrees on 256 held-out scenes with 8 images
 (constant normal 39.7), 7.3 on photographs of DiLiGenT's objects; more in

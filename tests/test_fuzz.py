@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from unips_jax import weights
-from unips_jax.cli import eval as evaluation
+from unips_jax.cli import evaluate as evaluation
 from unips_jax.cli import main as cli
 from unips_jax.cli import surface, validate
 from unips_jax.estimation import streaming, writing
@@ -99,7 +99,7 @@ OPTIONS = {
     "eval": "--benchmark --root --method --objects --num-images --crop-size --seed "
     "--protocol --weights --no-pictures",
     "render": "--objects --images --size --seed --sheet --engine --preset --meshes",
-    "validate": "--scenes --images --size --light --weights --json --real",
+    "validate": "--scenes --images --size --light --weights --json",
     "surface": "--mask --photograph --focal --prior --scale --max-faces --mesh --cut "
     "--normal-map",
     "train": "--optim.learning-rate --data.root --train.steps --mesh.fsdp "

@@ -64,7 +64,7 @@ MEASUREMENTS = {
         "Twelve objects under three lightings, rendered with Blender Cycles, 10 images "
         "each (`unips render --engine cycles --preset ps-wild-mini -o ps-wild-mini`): "
         "shapes, materials and environments are made by other code than the training "
-        "scenes'. `sbl`, sparse Bayesian, is told the lights.",
+        "scenes'. `sbl`, sparse Bayesian, knows the lights.",
         "unips eval --benchmark ps-wild --root ps-wild-mini --workdir out/ps-wild-mini "
         "--weights tiny -m unips sbl",
         functools.partial(readings.ps_wild, name="ps-wild-mini"),
@@ -74,7 +74,7 @@ MEASUREMENTS = {
         "Ten meshes by others in Blender's photographed environments, under three "
         "lightings, rendered with Blender Cycles, 10 images each (`unips render "
         "--engine cycles --preset ps-wild-real --meshes assets/meshes -o "
-        "ps-wild-real`): training sees neither. `sbl` is told the lights.",
+        "ps-wild-real`): training sees neither. `sbl` knows the lights.",
         "unips eval --benchmark ps-wild --root ps-wild-real --workdir out/ps-wild-real "
         "--weights tiny -m unips sbl",
         functools.partial(readings.ps_wild, name="ps-wild-real"),
@@ -83,15 +83,14 @@ MEASUREMENTS = {
         "The paper's Table 8, on our scenes",
         "6 objects under three lightings, 10 images of 256 x 256. The paper's means "
         "are of other data and, for UniPS, other weights. `least-squares` and `sbl` "
-        "are told the lights; `gcnet` has half the width and our weights, `mpm` is our "
-        "reconstruction; †: the truth chose the signs.",
+        "know the lights; `mpm` is our reconstruction; †: the truth chose the signs.",
         "python tools/table8.py out/table8 --weights tiny",
         readings.table8,
     ),
     "diligent": Measurement(
         "Real photographs: four objects of DiLiGenT",
         "10 images, drawn from every third of the benchmark's 96; published scores are "
-        "of all 96. `woodham`, least squares, is told the lights.",
+        "of all 96. `woodham`, least squares, knows the lights.",
         "unips eval --benchmark diligent --root shared/diligent_dev --objects ball cow "
         "pot1 reading --num-images 10 --workdir out/diligent --weights tiny -m unips "
         "woodham",
@@ -103,7 +102,7 @@ MEASUREMENTS = {
         "under known lamps, against least squares with these lamps, since there is no "
         "scanned truth; spheres and DiLiGenT's objects under masks that are some "
         "pixels too small or too large, scored well inside.",
-        "unips validate --real --photographs shared --weights tiny --json",
+        "python tools/real_sets.py --photographs shared --weights tiny --json",
         readings.real,
     ),
     "lights": Measurement(

@@ -117,8 +117,7 @@ def _name(label: str) -> str:
     name = label.partition(":")[0].partition(" ")[0]
     if "†" in label or "sign=oracle" in label:
         return f"{name} †"
-    names = {"unips": "UniPS", "constant": "constant normal", "gcnet-small": "gcnet"}
-    return names.get(name, name)
+    return {"unips": "UniPS", "constant": "constant normal"}.get(name, name)
 
 
 def _rounded(cells: Sequence[Any]) -> list[Any]:

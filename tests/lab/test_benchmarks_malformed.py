@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from unips_jax.cli import eval as evaluation
+from unips_jax.cli import evaluate as evaluation
 
 SETS = {
     "ps-wild": (data.make_ps_wild, {"objects": 1, "lightings": ("directional",)}, ()),

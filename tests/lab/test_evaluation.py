@@ -9,11 +9,12 @@ import pytest
 from scipy.io import loadmat
 
 from unips_jax.baselines.method import Estimated, Observed, Unsupported
-from unips_jax.cli import eval as evaluation
+from unips_jax.cli import evaluate as evaluation
 from unips_jax.evaluation import methods, protocols, publish, runner, summary
 from unips_jax.evaluation.benchmarks import open_benchmark
 from unips_jax.evaluation.methods import Variant
 from unips_jax.evaluation.protocols import Protocol
+from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.tables import files_of
 
@@ -46,7 +47,7 @@ def plan_of(root, *recorders, counts=(None,), protocol=None):
         [recorder.variant for recorder in recorders],
         protocol or Protocol("native"),
         counts,
-        0,
+        (0,),
         list(runner.check_data(benchmark)),
     )
 
@@ -54,7 +55,7 @@ def plan_of(root, *recorders, counts=(None,), protocol=None):
 def results_of(plan, store):
     tasks = runner.tasks_of(plan)
     assert len(list(runner.execute(plan, tasks, store))) == len(tasks)
-    return summary.Results(
+    return Results(
         plan.benchmark.name,
         plan.protocol.label,
         {variant.label: variant.about for variant in plan.variants},
@@ -99,9 +100,9 @@ def test_a_method_that_cannot_run_gets_a_row_that_says_so(ps_wild, tmp_path):
     results = results_of(plan_of(ps_wild, lit, Recorder("flat")), Store(tmp_path))
     tables = {table.name: table for table in summary.tables(results)}
     objects = tables["objects"]
-    assert [row[3] for row in objects.rows[:-1]].count("unsupported") == 4
-    assert tables["summary"].rows[0][-1] == "2 of 6"
-    remarks = [row for row in tables["remarks"].rows if row[1] == "lit"]
+    assert [row[3] for row in objects.values[:-1]].count("unsupported") == 4
+    assert tables["summary"].values[0][-1] == "2 of 6"
+    remarks = [row for row in tables["remarks"].values if row[1] == "lit"]
     assert remarks == [["4 objects", "lit", "needs lights"]]
 
 
@@ -130,8 +131,8 @@ def test_an_oracle_chooses_signs_by_the_truth(ps_wild, tmp_path):
     assert all(r.score.mae > 20 for r in results.of("plain", None)[::2])
     assert all(r.score.mae < 1 for r in results.of("oracle", None)[::2])
     tables = {table.name: table for table in summary.tables(results)}
-    assert list(tables["measures"].rows[0])[:2] == ["plain", "mirrors"]
-    assert tables["measures"].rows[0][-1] == 1
+    assert list(tables["measures"].values[0])[:2] == ["plain", "mirrors"]
+    assert tables["measures"].values[0][-1] == 1
 
 
 def test_an_oracle_needs_the_truth():
@@ -181,25 +182,25 @@ def test_tables_average_as_they_say(ps_wild, tmp_path):
     results = results_of(plan, Store(tmp_path))
     maes = {r.entry: r.score.mae for r in results.of("flat", 4)}
     tables = {table.name: table for table in summary.tables(results)}
-    row = dict(zip(tables["summary"].columns, tables["summary"].rows[0], strict=True))
+    row = dict(zip(tables["summary"].names, tables["summary"].values[0], strict=True))
     for lighting in data.PS_WILD_LIGHTINGS:
         pair = [maes[f"{lighting}/obj00{i}"] for i in (0, 1)]
         assert row[lighting] == pytest.approx(np.mean(pair))
     assert row["Mean"] == pytest.approx(np.mean(list(maes.values())))
     assert row["Source"] == "this run" and row["Images"] == 4
-    published = [r for r in tables["summary"].rows if r[2] == "published"]
+    published = [r for r in tables["summary"].values if r[2] == "published"]
     assert ["UniPS", "all", "published", 17.0, 14.5, 13.8] in [r[:6] for r in published]
-    sweep = tables["images"].rows
+    sweep = tables["images"].values
     assert [r[:3] for r in sweep[:4]] == [
         [label, n, "this run"] for label in ("flat", "tilt") for n in (2, 4)
     ]
     assert [r[1] for r in sweep[4:]] == [1, 4, 8, 16, 32]
     category = tables["categories"]
-    assert category.columns[:3] == ["Material category", "Lighting", "Objects"]
-    assert category.rows[0][:3] == ["metal", "directional", 1]
-    assert category.rows[0][3] == maes["directional/obj001"]
+    assert category.names[:3] == ["Material category", "Lighting", "Objects"]
+    assert category.values[0][:3] == ["metal", "directional", 1]
+    assert category.values[0][3] == maes["directional/obj001"]
     pixels = sum(r.score.pixels for r in results.of("flat", 4))
-    assert sum(r[1] for r in tables["angles"].rows) == pixels
+    assert sum(r[1] for r in tables["angles"].values) == pixels
 
 
 def test_tables_in_every_format_say_the_same(ps_wild, tmp_path):
@@ -293,7 +294,7 @@ def run(benchmark, root, work, *rest):
         (["--method", "constant", "--objects", "x"], "no object 'x'"),
         (["--method", "constant", "--crop-size", "3"], "at least 8"),
         (["--protocol", "native", "--crop-size", "32"], "expected --protocol crop"),
-        (["--method", "constant", "--seed", "-1"], "--seed: expected 0 or more"),
+        (["--method", "constant", "--seeds", "-1"], "--seeds: expected 0 or more"),
         (["--method", "constant", "--weights", "tiny"], "--weights: expected"),
         (["--method", "constant", "--canonical-size", "32"], "--canonical-size: exp"),
         (["--method", "constant", "--uniform-contexts"], "--uniform-contexts: exp"),

@@ -1,19 +1,35 @@
+"""tools/real_sets.py: the photographs and masks by which weights are chosen."""
+
+import importlib
 import json
+from pathlib import Path
 
 import evaluation_data as data
 import numpy as np
 import pytest
 
-from unips_jax.cli import validate
 from unips_jax.errors import InputError
-from unips_jax.evaluation import real_sets, spheres
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+
+
+@pytest.fixture(scope="module")
+def real_sets():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(TOOLS)
+        yield importlib.import_module("real_sets")
+
+
+@pytest.fixture(scope="module")
+def spheres(real_sets):
+    return real_sets.spheres
 
 
 def truth(case):
     return case.normals * case.mask[..., None]
 
 
-def test_wrong_masks_are_wrong_by_euclidean_pixels():
+def test_wrong_masks_are_wrong_by_euclidean_pixels(real_sets):
     y, x = np.mgrid[:40, :40] - 19.5
     distance = np.hypot(x, y)
     mask = distance < 12
@@ -25,12 +41,12 @@ def test_wrong_masks_are_wrong_by_euclidean_pixels():
         assert not found[distance > 13 + offset].any()
 
 
-def test_a_mask_that_fills_the_frame_has_no_border():
+def test_a_mask_that_fills_the_frame_has_no_border(real_sets):
     mask = np.ones((8, 8), bool)
     np.testing.assert_array_equal(real_sets.wrong_mask(mask, -2), mask)
 
 
-def test_spheres_are_lit_as_they_say():
+def test_spheres_are_lit_as_they_say(spheres):
     """Least squares with their lamps finds the normals of a matt one."""
     images = spheres.photograph_sphere(spheres.LOOKS["matt, black wall"])
     normals = spheres.sphere_normals()
@@ -44,7 +60,7 @@ def test_spheres_are_lit_as_they_say():
     assert normals[20, 80, 1] > 0.9 and normals[80, 138, 0] > 0.9
 
 
-def test_spheres_mix_with_the_wall():
+def test_spheres_mix_with_the_wall(spheres):
     depth = spheres.depth_inside()
     images = spheres.photograph_sphere(spheres.LOOKS["matt, bright wall"])[0]
     wall = images[depth < -1]
@@ -54,7 +70,7 @@ def test_spheres_mix_with_the_wall():
     assert border.mean() > 1.5 * images[(depth > 0.8) & (depth < 1.2)].mean()
 
 
-def test_masks_of_spheres_grow_and_the_same_pixels_count():
+def test_masks_of_spheres_grow_and_the_same_pixels_count(real_sets, spheres):
     cases = list(real_sets.sphere_cases((-2, 0, 5)))
     assert len(cases) == 3 * len(spheres.LOOKS)
     small, exact, large = cases[:3]
@@ -64,7 +80,7 @@ def test_masks_of_spheres_grow_and_the_same_pixels_count():
     assert real_sets.score(small, truth(small)) < 1e-2
 
 
-def test_diligent_may_lack_objects_and_has_wrong_masks(tmp_path):
+def test_diligent_may_lack_objects_and_has_wrong_masks(real_sets, tmp_path):
     data.make_diligent(tmp_path, images=5, objects=("ball", "cow"), size=(32, 40))
     cases = list(real_sets.diligent_cases(tmp_path, (3, None), (-1, 2)))
     by_group = {}
@@ -83,7 +99,7 @@ def test_diligent_may_lack_objects_and_has_wrong_masks(tmp_path):
     assert wrong.mask.sum() > few.mask.sum() > wrong.scored.sum() > 0
 
 
-def test_known_lamps_give_the_normals_of_a_matt_object(tmp_path):
+def test_known_lamps_give_the_normals_of_a_matt_object(real_sets, tmp_path):
     mask, normals = data.sphere(24, 28)
     lamps = data.lights(6, seed=2)
     folder = tmp_path / "thing.data"
@@ -101,7 +117,9 @@ def test_known_lamps_give_the_normals_of_a_matt_object(tmp_path):
         list(real_sets.lamp_cases(folder))
 
 
-def test_the_command_has_means_objects_and_the_constant(tmp_path, capsys, monkeypatch):
+def test_the_command_has_means_objects_and_the_constant(
+    real_sets, tmp_path, capsys, monkeypatch
+):
     tilt = np.float32([0, np.sin(0.1), np.cos(0.1)])
     monkeypatch.setattr(
         real_sets, "unips", lambda source: lambda images, mask: mask[..., None] * tilt
@@ -110,9 +128,9 @@ def test_the_command_has_means_objects_and_the_constant(tmp_path, capsys, monkey
     data.make_ps_wild(tmp_path / "mini", lightings=("directional",))
     dev = tmp_path / "diligent_dev"
     data.make_diligent(dev, images=12, objects=("ball",), size=(32, 40))
-    arguments = ["--real", "--weights", "a", "b", "--photographs", str(tmp_path)]
+    arguments = ["--weights", "a", "b", "--photographs", str(tmp_path)]
     arguments += ["--ps-wild", str(tmp_path / "mini")]
-    assert not validate.main([*arguments, "--json"])
+    assert not real_sets.main([*arguments, "--json"])
     shown = capsys.readouterr()
     cat = tmp_path / "photos" / "psbox_cat.data"
     assert shown.err.strip() == f"skipped {cat}: no such folder"
@@ -127,13 +145,8 @@ def test_the_command_has_means_objects_and_the_constant(tmp_path, capsys, monkey
     rows = dict(real_sets.table_rows(found))
     mean = np.mean([rows[f"  directional/obj00{i}"] for i in range(2)], axis=0)
     np.testing.assert_allclose(rows["mini, directional"], mean)
-    assert not validate.main(arguments)
+    assert not real_sets.main(arguments)
     lines = capsys.readouterr().out.splitlines()
     (line,) = (line for line in lines if "mini, directional" in line)
     figures = [f"{figure:.2f}" for figure in rows["mini, directional"]]
     assert all(figure in line for figure in figures)
-
-
-def test_several_weights_are_for_real_sets(capsys):
-    assert validate.main(["--weights", "a", "b"]) == 2
-    assert "--weights: expected one, got 2" in capsys.readouterr().err

@@ -14,13 +14,14 @@ from matplotlib.image import imread
 
 from unips_jax import __version__
 from unips_jax.baselines.method import Observed
-from unips_jax.cli import eval as evaluation
+from unips_jax.cli import evaluate as evaluation
 from unips_jax.errors import InputError
 from unips_jax.evaluation import summary
 from unips_jax.evaluation.charts import charts
 from unips_jax.evaluation.protocols import Case
 from unips_jax.evaluation.registry import NAMES
 from unips_jax.evaluation.report import Exhibit, Header, report
+from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.runner import Result
 from unips_jax.evaluation.scores import Score
 from unips_jax.evaluation.sections import sections
@@ -239,7 +240,7 @@ def result_of(entry, label, *, mae=10.0, reason="", count=None):
 def results_of(*results):
     labels = dict.fromkeys(result.label for result in results)
     methods = dict.fromkeys(labels, "a method")
-    return summary.Results("ps-wild", "native", methods, [None], list(results))
+    return Results("ps-wild", "native", methods, [None], list(results))
 
 
 URI = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
@@ -293,8 +294,8 @@ def test_angles_are_over_common_objects():
     )
     tables = {table.name: table for table in summary.tables(results)}
     # The third shares no object with the others, and so has no place beside them.
-    assert tables["angles"].columns == ["Angle", "Pixels", "flat", "half"]
-    assert tables["angles"].rows[0] == ["0-15", 10, 10.0, 2.0]
+    assert tables["angles"].names == ["Angle", "Pixels", "flat", "half"]
+    assert tables["angles"].values[0] == ["0-15", 10, 10.0, 2.0]
     assert "1 object," in tables["angles"].title
 
 

@@ -25,7 +25,7 @@ def start(root, work):
         *("--crop-size", "16"),
     ]
     return subprocess.Popen(
-        [sys.executable, "-m", "unips_jax.cli.eval", *arguments],
+        [sys.executable, "-m", "unips_jax.cli.evaluate", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -1,6 +1,7 @@
 """The tables' figures, worked out by hand."""
 
 from unips_jax.evaluation import runner, summary
+from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.scores import Score
 
 
@@ -23,7 +24,7 @@ def test_tables_by_hand():
             name=f"{entry}-{label}-{count}",
         )
 
-    results = summary.Results(
+    results = Results(
         "mine",
         "native",
         {"a": "first", "b": "second"},
@@ -44,38 +45,38 @@ def test_tables_by_hand():
         ],
     )
     tables = {table.name: table for table in summary.tables(results)}
-    assert tables["summary"].columns == [
+    assert tables["summary"].names == [
         *("Method", "Images", "Source", "sun", "sky", "Mean", "Median"),
         *("% < 5", "% < 11.25", "% < 22.5", "% < 30", "Objects"),
     ]
-    assert tables["summary"].rows == [
+    assert tables["summary"].values == [
         ["a", "all", "this run", 15, 9, 13, 5, 13, 26, 39, 52, "3 of 3"],
         ["b", "all", "this run", 4, None, 4, 3, 4, 8, 12, 16, "1 of 3"],
     ]
-    assert tables["images"].rows[:2] == [
+    assert tables["images"].values[:2] == [
         ["a", 2, "this run", 60, None, 60],
         ["a", "all", "this run", 15, 9, 13],
     ]
-    assert tables["objects"].rows == [
+    assert tables["objects"].values == [
         ["x1", "sun", "x", 10, 4],
         ["x2", "sun", "x", 20, "unsupported"],
         ["y", "sky", "y", 9, "truth withheld"],
         ["mean", None, None, 13, 4],
     ]
-    assert tables["categories"].rows == [
+    assert tables["categories"].values == [
         ["x", "sun", 2, 15, 4],
         ["y", "sky", 1, 9, None],
     ]
     # Over pixels, not objects, and only of x1, which both have: 10 and 30 pixels.
-    assert tables["angles"].columns == ["Angle", "Pixels", "a", "b"]
-    assert tables["angles"].rows == [
+    assert tables["angles"].names == ["Angle", "Pixels", "a", "b"]
+    assert tables["angles"].values == [
         ["0-15", 10, 60 / 10, 40 / 10],
         ["15-30", 30, 340 / 30, 120 / 30],
     ]
     assert "over the pixels of 1 object," in tables["angles"].title
-    assert tables["measures"].rows == [["a", "light", 3, None, 3]]
-    assert tables["methods"].rows == [["a", "first"], ["b", "second"]]
-    assert tables["remarks"].rows == [
+    assert tables["measures"].values == [["a", "light", 3, None, 3]]
+    assert tables["methods"].values == [["a", "first"], ["b", "second"]]
+    assert tables["remarks"].values == [
         ["y", "a", "1 pixels without an estimate count as 90 degrees"],
         ["x2", "b", "too dark"],
     ]

@@ -19,7 +19,7 @@ COMMANDS = {
     "app": ("cli.app", "all of it in a browser, on this machine"),
     "view": ("cli.view", "a result as an HTML file to look at"),
     "validate": ("cli.validate", "score weights on held-out scenes"),
-    "eval": ("cli.eval", "evaluate UniPS and other methods on benchmarks"),
+    "eval": ("cli.evaluate", "evaluate UniPS and other methods on benchmarks"),
     "render": ("cli.render", "make scenes with known normals"),
     "export": ("cli.export", "the network as ONNX or StableHLO, for other programs"),
     "demo": ("cli.demo", "a bundled object's normals, compared with the truth"),

@@ -5,15 +5,13 @@ one for a constant normal towards the viewer, and one for every kind of light, m
 shape and camera; a column for each number of images.
 
 With --maps it is what the network says beside the normals: how far off they may be,
-and the material. With --real it is photographs, spheres and masks that miss them, a
-column for each of the weights: the yardstick by which weights are chosen.
+and the material.
 """
 
 import dataclasses
 import json
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -28,12 +26,8 @@ class Options:
     """Options of `unips validate`.
 
     Attributes:
-        weights: shipped weights or .safetensors files; one, unless with --real.
-        real: score on photographs instead of scenes.
+        weights: shipped weights or a .safetensors file.
         maps: score the error and the materials that the network tells, on scenes.
-        photographs: with --real: holds diligent_dev and photos; what is not there is
-            skipped.
-        ps_wild: with --real: sets that `unips render` wrote.
         scenes: how many scenes.
         images: numbers of images per scene; each is a column.
         size: side of the images in pixels, a multiple of 4.
@@ -43,11 +37,8 @@ class Options:
         json: print a line of JSON for each number of images instead of the table.
     """
 
-    weights: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE")] = ("tiny",)
-    real: bool = False
+    weights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tiny"
     maps: bool = False
-    photographs: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("../shared")
-    ps_wild: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR")] = ()
     scenes: int = 256
     images: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N ...]")] = (8,)
     size: int = 128
@@ -66,19 +57,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     least = min(options.scenes, *options.images, 1 if options.images else 0)
     if least < 1:
         raise InputError(f"--scenes, --images: expected at least 1, got {least}")
-    if not options.weights or (len(options.weights) > 1 and not options.real):
-        raise InputError(
-            f"--weights: expected one, got {len(options.weights)}; give one, or --real"
-        )
     start_jax()
-    if options.real:
-        return _validate_real(options)
     if options.maps:
         return _validate_maps(options)
     from unips_jax.training.validation import validate
     from unips_jax.weights import load_weights
 
-    model, params = load_weights(options.weights[0])
+    model, params = load_weights(options.weights)
     kinds = {
         "light_kind": (LIGHT_KINDS, options.light),
         "material": (MATERIALS, options.material),
@@ -105,35 +90,14 @@ def main(argv: Sequence[str] | None = None) -> None:
         _print(options, columns)
 
 
-def _validate_real(options: Options) -> None:
-    from unips_jax.evaluation import real_sets
-
-    estimates = {source: real_sets.unips(source) for source in options.weights}
-    found = real_sets.score_all(
-        real_sets.real_cases(options.photographs, options.ps_wild),
-        {**estimates, "constant normal": real_sets.constant_normal},
-    )
-    if options.json:
-        print(json.dumps(found))
-        return
-    print_table(
-        "mean angular error in degrees, photographs and wrong masks",
-        ["set", *(Path(source).name for source in options.weights), "constant normal"],
-        [
-            [name, *(f"{figure:.2f}" for figure in figures)]
-            for name, figures in real_sets.table_rows(found)
-        ],
-    )
-
-
 def _validate_maps(options: Options) -> None:
     from unips_jax.training.map_scores import EDGES, score_maps
     from unips_jax.weights import load_weights
 
-    model, params = load_weights(options.weights[0])
+    model, params = load_weights(options.weights)
     if not model.has_maps:
         raise InputError(
-            f"--maps, --weights {options.weights[0]}: expected a network with heads, "
+            f"--maps, --weights {options.weights}: expected a network with heads, "
             "got one without"
         )
     for num_images in dict.fromkeys(options.images):
@@ -173,7 +137,7 @@ def _print(options: Options, columns: dict[int, dict[str, float]]) -> None:
     rows |= {group: group.replace("/", ": ") for group in groups}
     print_table(
         f"mean angular error in degrees, {options.scenes} held-out scenes of "
-        f"{options.size} x {options.size} pixels, weights {options.weights[0]}",
+        f"{options.size} x {options.size} pixels, weights {options.weights}",
         ["scenes", *(f"{n} image{'s' * (n > 1)}" for n in columns)],
         [
             [shown, *(f"{scores[name]:.2f}" for scores in columns.values())]

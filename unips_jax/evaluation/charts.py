@@ -1,6 +1,6 @@
 """The report's charts, as SVG that is the same text every time.
 
-They hold no names: the page's legend tells the lines apart by `line-0`, `line-1`, ...
+They hold no names: the page's legend finds the lines by `line-0`, `line-1`, ...
 """
 
 import io
@@ -11,10 +11,12 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from unips_jax.evaluation import published
+from unips_jax.evaluation.results import Results, average, lit, mean_error
+from unips_jax.evaluation.spread import deviation
 from unips_jax.evaluation.styles import PUBLISHED, Style, styles
-from unips_jax.evaluation.summary import Results
 from unips_jax.pictures.maps import ERROR_LIMIT_DEG
 
 _INK = "#1c2330"
@@ -66,16 +68,21 @@ def _error_chart(results: Results) -> Chart:
 
 
 def _images_chart(results: Results, lighting: str | None) -> Chart:
-    """Mean angular error against the number of images, under one lighting or all."""
+    """Mean angular error against the number of images, under one lighting or all.
+
+    With several seeds a bar spans a standard deviation over them on either side.
+    """
     figure, axes = _figure()
     legend: list[tuple[str, Style]] = []
+    ticks: set[float] = set()
     for label, style in styles(results.labels).items():
         points = [_point(results, label, count, lighting) for count in results.counts]
         known = sorted(point for point in points if point is not None)
-        if len({number for number, _ in known}) < 2:
+        if len({images for images, *_ in known}) < 2:
             continue
-        x, y = zip(*known, strict=True)
-        _draw(axes, x, y, style, len(legend), marker="o")
+        ticks |= {images for images, *_ in known}
+        x, y, bars = zip(*known, strict=True)
+        _draw(axes, x, y, style, len(legend), marker="o", bars=bars)
         legend.append((label, style))
     rows = [
         row
@@ -88,8 +95,11 @@ def _images_chart(results: Results, lighting: str | None) -> Chart:
         style = Style(PUBLISHED, "1 1.5", 1.3)
         _draw(axes, numbers, scores, style, len(legend), marker="s")
         legend.append(("UniPS (published, other objects)", style))
+        ticks |= set(numbers)
     axes.set_xscale("log", base=2)
-    axes.xaxis.set_major_formatter(lambda value, position: f"{value:g}")
+    axes.set_xticks(sorted(ticks))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(lambda value, position: f"{value:.4g}")
     axes.set_ylim(bottom=0)
     axes.set_xlabel("images")
     axes.set_ylabel("mean angular error (degrees)")
@@ -100,17 +110,14 @@ def _images_chart(results: Results, lighting: str | None) -> Chart:
 
 def _point(
     results: Results, label: str, count: int | None, lighting: str | None
-) -> tuple[float, float] | None:
-    own = [
-        result
-        for result in results.of(label, count)
-        if result.score and lighting in (None, result.tags.get("lighting"))
-    ]
-    if not own:
+) -> tuple[float, float, float] | None:
+    """Mean number of images, mean error, and its deviation over seeds."""
+    own = [result for result in lit(results.of(label, count), lighting) if result.score]
+    images = average(result.images for result in own)
+    error = mean_error(own)
+    if images is None or error is None:
         return None
-    errors = [result.score.mae for result in own if result.score]
-    numbers = [result.images for result in own]
-    return sum(numbers) / len(numbers), sum(errors) / len(errors)
+    return images, error, deviation(results, label, count, lighting) or 0.0
 
 
 def _draw(
@@ -120,13 +127,21 @@ def _draw(
     style: Style,
     i: int,
     marker: str = "",
+    bars: Sequence[float] = (),
 ) -> None:
+    """A line, and bars of half these lengths in the same path: one name, one switch."""
+    points = len(x)
+    x, y = list(x), list(y)
+    for place, middle, half in zip(x[:points], y[:points], bars, strict=False):
+        x += [np.nan, place, place] if half else []
+        y += [np.nan, middle - half, middle + half] if half else []
     (line,) = axes.plot(
         *(x, y),
         color=style.color,
         linewidth=style.width,
         marker=marker,
         markersize=4,
+        markevery=slice(0, points),
     )
     if style.dashes:
         line.set_dashes([float(length) for length in style.dashes.split()])

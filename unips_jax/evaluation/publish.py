@@ -6,12 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from unips_jax.evaluation.benchmarks import submission_bytes
+from unips_jax.evaluation.cells import Table
 from unips_jax.evaluation.protocols import choose_images, show
 from unips_jax.evaluation.report import Exhibit, Header, exhibit, report
+from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.runner import Plan, Result
 from unips_jax.evaluation.sheets import Panel, sheet
 from unips_jax.evaluation.store import Store
-from unips_jax.evaluation.summary import TABLES, Results, Table
+from unips_jax.evaluation.summary import TABLES
 from unips_jax.evaluation.tables import files_of
 from unips_jax.io.claims import slug, write_whole
 from unips_jax.provenance import code_hash
@@ -44,15 +46,16 @@ def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibi
     for index, entry in enumerate(plan.benchmark.entries):
         own = [
             result
-            for result in results.results
-            if result.entry == entry.name and result.count == results.main_count
+            for label in results.labels
+            for result in results.each(label, results.main_count, plan.seeds[0])
+            if result.entry == entry.name
         ]
         total = len(entry.images)
         count = total if results.main_count is None else results.main_count
         case = show(
             plan.benchmark[index],
             plan.protocol,
-            choose_images(count, total, seed=plan.seed),
+            choose_images(count, total, seed=plan.seeds[0]),
             crop_focal_ratio=plan.benchmark.crop_focal_ratio,
         )
         panels = [_panel(store, result) for result in own]
@@ -120,9 +123,10 @@ def write_submissions(store: Store, results: Results) -> Path:
     folder = store.root / "submission"
     with store.claim("publish", wait=True):
         written: dict[Path, set[str]] = {}
-        for result in results.results:
-            if result.count != results.main_count:
-                continue
+        main = (results.main_count, results.seeds[0])
+        for result in (
+            r for label in results.labels for r in results.each(label, *main)
+        ):
             names = written.setdefault(folder / slug(result.label), set())
             if not result.unsupported:
                 names.add(f"{result.entry}.mat")
@@ -144,4 +148,5 @@ def _panel(store: Store, result: Result) -> Panel:
 def _caption(name: str, result: Result) -> str:
     words = [name, result.tags.get("material"), result.tags.get("category")]
     parts = list(dict.fromkeys(word for word in words if word))
-    return " · ".join([*parts, f"{result.images} images"])
+    subset = "" if result.seed is None else f", seed {result.seed}"
+    return " · ".join([*parts, f"{result.images} images{subset}"])

@@ -1,8 +1,6 @@
 """The names of all methods: a baseline is added here, by a row."""
 
-import importlib.resources
 from collections.abc import Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -25,91 +23,96 @@ class Baseline(NamedTuple):
     network: str = ""
 
 
-_ASSETS = Path(str(importlib.resources.files("unips_jax"))) / "assets"
-_SMALL = _ASSETS / "gcnet_small.safetensors"
-
 BASELINES: dict[str, Baseline] = {
     "gcnet": Baseline(
         "GCNet (Chen et al., ECCV 2020), re-implemented, with the weights given: "
         "lights estimated, then normals by a calibrated method",
-        *("gcnet.pipeline", "gcnet"),
+        "gcnet.pipeline",
+        "gcnet",
         network="gcnet",
-    ),
-    "gcnet-small": Baseline(
-        "GCNet architecture at half the width, our weights (tools/train_gcnet.py): "
-        "lights estimated, then normals by least squares",
-        *("gcnet.pipeline", "gcnet"),
-        {"weights": str(_SMALL), "normals": "woodham", "side": 64},
     ),
     "lcnet": Baseline(
         "LCNet (SDPS-Net, Chen et al., CVPR 2019), re-implemented, with the weights "
         "given: lights estimated, then normals by a calibrated method",
-        *("gcnet.pipeline", "lcnet"),
+        "gcnet.pipeline",
+        "lcnet",
         network="lcnet",
     ),
     "ps-fcn": Baseline(
         "PS-FCN (Chen et al., ECCV 2018), re-implemented, with the weights given; "
         "calibrated",
-        *("gcnet.pipeline", "ps_fcn"),
+        "gcnet.pipeline",
+        "ps_fcn",
         network="ps_fcn",
     ),
     "mpm": Baseline(
         "MPM-style: our reconstruction from the idea of Mo et al. (CVPR 2018); the "
         "authors' code is not public. Uncalibrated, orthographic, convex objects",
-        *("mpm.pipeline", "mpm"),
+        "mpm.pipeline",
+        "mpm",
     ),
     "variational": Baseline(
         "Variational (Haefner et al., ICCV 2019), re-implemented. Uncalibrated; "
         "Lambertian, starts from a balloon",
-        *("variational.pipeline", "variational"),
+        "variational.pipeline",
+        "variational",
     ),
     "woodham": Baseline(
         "Least squares, calibrated, with the recipe of the DiLiGenT table",
-        *("calibrated", "woodham_diligent"),
+        "calibrated",
+        "woodham_diligent",
     ),
     "least-squares": Baseline(
-        "Least squares (Woodham, 1980), calibrated", *("calibrated", "woodham")
+        "Least squares (Woodham, 1980), calibrated", "calibrated", "woodham"
     ),
     "l1": Baseline(
         "Least absolute residuals by reweighting, calibrated",
-        *("calibrated", "robust_l1"),
+        "calibrated",
+        "robust_l1",
     ),
     "sbl": Baseline(
         "Sparse Bayesian learning (Ikehata et al., CVPR 2012), calibrated",
-        *("calibrated", "sparse_bayesian"),
+        "calibrated",
+        "sparse_bayesian",
     ),
     "rpca": Baseline(
         "Low rank and sparse outliers (Wu et al., ACCV 2010), calibrated",
-        *("calibrated", "low_rank"),
+        "calibrated",
+        "low_rank",
     ),
     "diffuse-maxima": Baseline(
         "Factorisation; bas-relief ambiguity resolved by diffuse maxima. Uncalibrated, "
         "directional light",
-        *("uncalibrated", "factorisation"),
+        "uncalibrated",
+        "factorisation",
         {"resolve": "diffuse_maxima"},
     ),
     "entropy": Baseline(
         "Factorisation; bas-relief ambiguity resolved by the albedo's entropy. "
         "Uncalibrated, directional light",
-        *("uncalibrated", "factorisation"),
+        "uncalibrated",
+        "factorisation",
         {"resolve": "entropy"},
     ),
     "sh1": Baseline(
         "First-order spherical harmonics. Uncalibrated, natural light",
-        *("spherical_harmonics", "first_order_harmonics"),
+        "spherical_harmonics",
+        "first_order_harmonics",
     ),
     "hemisphere": Baseline(
         "Floor: a balloon over the mask, images not looked at",
-        *("balloon", "hemisphere"),
+        "balloon",
+        "hemisphere",
     ),
     "constant": Baseline(
-        "Floor: every normal towards the viewer", *("constant", "constant")
+        "Floor: every normal towards the viewer", "constant", "constant"
     ),
 }
 
 CLASSICAL = (
     *("woodham", "l1", "sbl", "rpca", "diffuse-maxima", "entropy", "sh1"),
-    *("hemisphere", "constant"),
+    "hemisphere",
+    "constant",
 )
 """What `classical` stands for on the command line."""
 

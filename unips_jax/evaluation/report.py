@@ -9,12 +9,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from unips_jax.evaluation.cells import Table
 from unips_jax.evaluation.charts import charts
 from unips_jax.evaluation.protocols import Case
+from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.scores import error_map
 from unips_jax.evaluation.sections import sections
 from unips_jax.evaluation.sheets import Panel
-from unips_jax.evaluation.summary import Results, Table
 from unips_jax.evaluation.tables import TEMPLATES, environment
 from unips_jax.pictures.maps import error_picture, frame, normals_picture, shrink
 

@@ -39,7 +39,7 @@ class Plan(NamedTuple):
         variants: the methods.
         protocol: how objects are shown.
         counts: numbers of images; None stands for all.
-        seed: of the subsets.
+        seeds: of the subsets; each draws its own.
         fingerprints: of each entry's data.
     """
 
@@ -47,18 +47,19 @@ class Plan(NamedTuple):
     variants: Sequence[Variant]
     protocol: Protocol
     counts: Sequence[int | None]
-    seed: int
+    seeds: Sequence[int]
     fingerprints: Sequence[str]
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A method, an object and a number of images.
+    """A method, an object and a choice of images.
 
     Attributes:
         index: the entry's.
         variant: the method.
         count: number of images; None for all.
+        seed: of the subset; None where all images are used.
         name: of the result in the store.
         fields: what the result depends on.
     """
@@ -66,6 +67,7 @@ class Task:
     index: int
     variant: Variant
     count: int | None
+    seed: int | None
     name: str
     fields: dict[str, Any]
 
@@ -85,6 +87,7 @@ class Result:
         measures: the method's own figures, by name.
         unsupported: why the method could not run, empty where it did.
         name: of the result in the store.
+        seed: of the subset; None where all images are used.
     """
 
     entry: str
@@ -97,6 +100,7 @@ class Result:
     measures: Mapping[str, float]
     unsupported: str
     name: str
+    seed: int | None = None
 
     @property
     def reason(self) -> str:
@@ -137,38 +141,41 @@ def check_counts(benchmark: Benchmark, counts: Sequence[int | None]) -> None:
 
 def tasks_of(plan: Plan) -> list[Task]:
     """All tasks, object by object."""
-    tasks = []
     code = code_hash(*_CODE)
+    tasks = []
     for index, entry in enumerate(plan.benchmark.entries):
-        for count in plan.counts:
-            chosen = _chosen(plan, index, count)
+        shared = {
+            "benchmark": plan.benchmark.name,
+            "entry": entry.name,
+            "data": plan.fingerprints[index],
+            "protocol": plan.protocol.label,
+            "crop_focal_ratio": plan.benchmark.crop_focal_ratio,
+            "version": __version__,
+            "code": code,
+        }
+        for count, seed in _choices(plan, index):
+            images = _chosen(plan, index, count, seed).tolist()
             for variant in plan.variants:
-                fields = {
-                    **variant.key,
-                    "benchmark": plan.benchmark.name,
-                    "entry": entry.name,
-                    "data": plan.fingerprints[index],
-                    "protocol": plan.protocol.label,
-                    "crop_focal_ratio": plan.benchmark.crop_focal_ratio,
-                    "images": chosen.tolist(),
-                    "version": __version__,
-                    "code": code,
-                }
+                fields = {**variant.key, **shared, "images": images}
                 number = "all" if count is None else str(count)
-                name = "/".join(
-                    (
-                        slug(plan.benchmark.name),
-                        slug(entry.name),
-                        f"{slug(variant.label)}-{number}-{result_key(fields)}",
-                    )
-                )
-                tasks.append(Task(index, variant, count, name, fields))
+                label = f"{slug(variant.label)}-{number}-{result_key(fields)}"
+                folders = slug(plan.benchmark.name), slug(entry.name)
+                name = "/".join((*folders, label))
+                tasks.append(Task(index, variant, count, seed, name, fields))
     return tasks
 
 
-def _chosen(plan: Plan, index: int, count: int | None) -> np.ndarray:
+def _choices(plan: Plan, index: int) -> Iterator[tuple[int | None, int | None]]:
+    """Numbers of images and seeds; where all are used there is nothing to draw."""
     total = len(plan.benchmark.entries[index].images)
-    return choose_images(total if count is None else count, total, seed=plan.seed)
+    for count in plan.counts:
+        for seed in [None] if count in (None, total) else plan.seeds:
+            yield count, seed
+
+
+def _chosen(plan: Plan, index: int, count: int | None, seed: int | None) -> np.ndarray:
+    total = len(plan.benchmark.entries[index].images)
+    return choose_images(total if count is None else count, total, seed=seed or 0)
 
 
 def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
@@ -200,31 +207,38 @@ def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
 class _Shown:
     """The object being worked on, as read and as shown to the methods."""
 
-    index: int
-    count: int | None
+    task: Task
     item: Item
     case: Case
+
+    def serves(self, task: Task) -> bool:
+        ours = self.task
+        return (ours.index, ours.count, ours.seed) == (
+            task.index,
+            task.count,
+            task.seed,
+        )
 
 
 def _show(plan: Plan, task: Task, last: _Shown | None) -> _Shown:
     """Prepares the task's object, unless the last task had the same."""
-    if last and (last.index, last.count) == (task.index, task.count):
+    if last and last.serves(task):
         return last
-    same = last is not None and last.index == task.index
+    same = last is not None and last.task.index == task.index
     item = last.item if last and same else plan.benchmark[task.index]
     case = show(
         item,
         plan.protocol,
-        _chosen(plan, task.index, task.count),
+        _chosen(plan, task.index, task.count, task.seed),
         crop_focal_ratio=plan.benchmark.crop_focal_ratio,
     )
-    return _Shown(task.index, task.count, item, case)
+    return _Shown(task, item, case)
 
 
 def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
     item, case = shown.item, shown.case
     mask = case.observed.mask
-    chosen = _chosen(plan, task.index, task.count)
+    chosen = _chosen(plan, task.index, task.count, task.seed)
     record: dict[str, Any] = {
         "fields": task.fields,
         "entry": item.name,
@@ -290,6 +304,7 @@ def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
                 record["measures"],
                 record["unsupported"],
                 task.name,
+                task.seed,
             )
         )
     return results

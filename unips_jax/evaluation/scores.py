@@ -100,6 +100,17 @@ def best_signs(estimate: np.ndarray, true: np.ndarray, mask: np.ndarray) -> np.n
     return min(turned, key=lambda normals: error_map(normals, true)[mask].mean())
 
 
+def mean_score(scores: Sequence[Score]) -> Score:
+    """Scores of the same pixels as one: the mean of every number."""
+
+    def mean(values: Sequence[Any]) -> Any:
+        if isinstance(values[0], tuple):
+            return tuple(map(mean, zip(*values, strict=True)))
+        return sum(values) / len(values)
+
+    return Score._make(map(mean, zip(*scores, strict=True)))
+
+
 def from_json(values: dict[str, Any]) -> Score:
     """Reads back what `Score._asdict` became in JSON."""
     lists: dict[str, Any] = {

@@ -11,7 +11,6 @@ PUBLISHED = "#98a2b3"
 COLORS = {
     "unips": "#1f5fd6",
     "gcnet": "#1e8f3e",
-    "gcnet-small": "#7db928",
     "lcnet": "#0d7a6b",
     "ps-fcn": "#00a5c4",
     "mpm": "#7a4a2b",

@@ -1,91 +1,36 @@
 """From results to tables. Nothing here depends on when or where they were computed."""
 
-import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
-
+from unips_jax.evaluation.cells import (
+    Cell,
+    Column,
+    Row,
+    Table,
+    Value,
+    columns,
+    lowest,
+    row,
+)
 from unips_jax.evaluation.published import DATA, PUBLISHED, Published, comparable, mean
+from unips_jax.evaluation.results import (
+    Results,
+    average,
+    common,
+    complete,
+    lit,
+    mean_error,
+    number,
+)
 from unips_jax.evaluation.runner import Result
-from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG, Score
+from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG
+from unips_jax.evaluation.spread import pairs_table, spread_table
 
-Cell = str | int | float | None
-
-TABLES = (
-    *("summary", "images", "objects", "categories", "views", "angles"),
-    *("measures", "published", "methods", "remarks"),
+TABLES = tuple(
+    "summary images spread pairs objects categories views angles measures published "
+    "methods remarks".split()
 )
 """Names of all tables that a run may have."""
 
-
-class Table(NamedTuple):
-    """A table.
-
-    Attributes:
-        name: of its files.
-        title: one line.
-        columns: their headings.
-        rows: as many cells each; None where there is nothing to say.
-    """
-
-    name: str
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Results:
-    """The results of a run.
-
-    Attributes:
-        benchmark: its name.
-        protocol: its label.
-        methods: what each method is, a line, by label, in order.
-        counts: numbers of images; None for all.
-        results: in the order of the tasks.
-    """
-
-    benchmark: str
-    protocol: str
-    methods: Mapping[str, str]
-    counts: Sequence[int | None]
-    results: Sequence[Result]
-
-    @property
-    def labels(self) -> list[str]:
-        """The methods' names, in order."""
-        return list(self.methods)
-
-    @property
-    def main_count(self) -> int | None:
-        """The number of images that tables other than the sweep show."""
-        numbers = [count for count in self.counts if count is not None]
-        return None if None in self.counts else max(numbers)
-
-    @property
-    def entries(self) -> list[Result]:
-        """One result per object and lighting, in order, for names and tags."""
-        return list({result.entry: result for result in self.results}.values())
-
-    @property
-    def objects(self) -> list[str]:
-        """Names of the objects evaluated."""
-        return list(dict.fromkeys(result.tags["object"] for result in self.results))
-
-    @property
-    def lightings(self) -> list[str]:
-        """The lightings, in order; empty where the benchmark has none."""
-        named = [r.tags["lighting"] for r in self.results if "lighting" in r.tags]
-        return list(dict.fromkeys(named))
-
-    @property
-    def evaluated(self) -> list[str]:
-        """Objects and lightings: what published scores may be named by."""
-        return [*self.objects, *self.lightings]
-
-    def of(self, label: str, count: int | None) -> list[Result]:
-        """A method's results."""
-        return [r for r in self.results if r.label == label and r.count == count]
+_SOURCE = Column("Source", in_report=False)
 
 
 def tables(results: Results) -> list[Table]:
@@ -93,6 +38,8 @@ def tables(results: Results) -> list[Table]:
     made = [
         _summary(results),
         _images(results),
+        spread_table(results),
+        pairs_table(results),
         _objects(results),
         _groups(results, "category", "categories", "material category"),
         _groups(results, "view", "views", "view"),
@@ -105,62 +52,60 @@ def tables(results: Results) -> list[Table]:
     return [table for table in made if table.rows]
 
 
-def _average(values: Iterable[float]) -> float | None:
-    values = list(values)
-    return sum(values) / len(values) if values else None
-
-
-def _mae(results: Iterable[Result]) -> float | None:
-    return _average(r.score.mae for r in results if r.score)
-
-
-def _lit(results: Iterable[Result], lighting: str) -> list[Result]:
-    return [r for r in results if r.tags.get("lighting") == lighting]
-
-
-def _number(count: int | None) -> Cell:
-    return "all" if count is None else count
-
-
 def _summary(results: Results) -> Table:
-    lightings = results.lightings
-    columns = [
-        *("Method", "Images", "Source", *lightings, "Mean", "Median"),
-        *(f"% < {threshold:g}" for threshold in THRESHOLDS_DEG),
-        "Objects",
-    ]
-    rows: list[list[Cell]] = []
+    shares = [f"% < {threshold:g}" for threshold in THRESHOLDS_DEG]
+    scores = [*results.lightings, "Mean", "Median", *shares]
+    own: dict[str, list[float | None]] = {}
+    objects: dict[str, str] = {}
     for label in results.labels:
-        own = results.of(label, results.main_count)
-        scored = [r.score for r in own if r.score]
-        share = [
-            _average(score.within[i] for score in scored)
-            for i in range(len(THRESHOLDS_DEG))
+        found = results.of(label, results.main_count)
+        scored = [result.score for result in found if result.score]
+        own[label] = [
+            *(mean_error(lit(found, lighting)) for lighting in results.lightings),
+            mean_error(found),
+            average(score.median for score in scored),
+            *(average(s.within[i] for s in scored) for i in range(len(shares))),
         ]
-        cells: list[Cell] = [_mae(_lit(own, lighting)) for lighting in lightings]
-        cells += [_mae(own), _average(score.median for score in scored), *share]
-        rows.append(
-            [
-                *(label, _number(results.main_count), "this run", *cells),
-                f"{len(scored)} of {len(own)}",
-            ]
+        objects[label] = f"{len(scored)} of {len(found)}"
+    best = {label: set[int]() for label in results.labels}
+    for c, name in enumerate(scores):
+        tags = {"lighting": name} if name in results.lightings else {}
+        picked = complete(results, tags)
+        column = {k: x for k, v in own.items() if (x := v[c]) is not None}
+        compared = {label: x for label, x in column.items() if label in picked}
+        pick = max if name in shares else min
+        for label, x in compared.items():
+            if x == pick(compared.values()):
+                best[label].add(3 + c)
+    images = number(results.main_count)
+    rows = [
+        row(
+            *(label, images, "this run", *own[label], objects[label]),
+            method=label,
+            best=best[label],
         )
+        for label in results.labels
+    ]
     rows += [
-        [
-            *(row.method, _number(row.images), "published"),
-            *(row.scores.get(lighting) for lighting in lightings),
-            *(mean(row, results.evaluated), *[None] * (len(THRESHOLDS_DEG) + 2)),
-        ]
-        for row in _shown(results)
+        row(
+            *(known.method, number(known.images), "published"),
+            *(known.scores.get(lighting) for lighting in results.lightings),
+            *(mean(known, results.evaluated), *[None] * (len(shares) + 2)),
+            kind="published",
+        )
+        for known in _shown(results)
     ]
     title = f"Mean angular error in degrees over objects, protocol {results.protocol}"
+    if len(results.seeds) > 1 and results.main_count is not None:
+        title += f", means over {len(results.seeds)} subsets of images"
     if results.benchmark in DATA:
         title += f"; published scores are of {DATA[results.benchmark]}"
-    return Table("summary", title, columns, rows)
+    head = [*columns(["Method", "Images"]), _SOURCE, *columns([*scores, "Objects"])]
+    return Table("summary", title, head, rows)
 
 
 def _shown(results: Results) -> list[Published]:
-    """Published rows that belong beside the methods of this run."""
+    """Published rows that compare with the methods of this run."""
     groups = {"method"}
     if any("canonical" in label for label in results.labels):
         groups.add("canonical size")
@@ -171,201 +116,208 @@ def _shown(results: Results) -> list[Published]:
 
 
 def _images(results: Results) -> Table:
-    lightings = results.lightings
-    rows: list[list[Cell]] = []
+    rows: list[Row] = []
     if len(results.counts) > 1:
         for label in results.labels:
             for count in results.counts:
                 own = results.of(label, count)
-                cells = [_mae(_lit(own, lighting)) for lighting in lightings]
-                rows.append([label, _number(count), "this run", *cells, _mae(own)])
+                errors = [mean_error(lit(own, name)) for name in results.lightings]
+                cells = [number(count), "this run", *errors, mean_error(own)]
+                rows.append(row(label, *cells, method=label))
         rows += [
-            [
-                *(row.method, _number(row.images), "published"),
-                *(row.scores.get(lighting) for lighting in lightings),
-                mean(row, results.evaluated),
-            ]
-            for row in PUBLISHED.get(results.benchmark, ())
-            if row.group == "images"
+            row(
+                *(known.method, number(known.images), "published"),
+                *(known.scores.get(lighting) for lighting in results.lightings),
+                mean(known, results.evaluated),
+                kind="published",
+            )
+            for known in PUBLISHED.get(results.benchmark, ())
+            if known.group == "images"
         ]
+    scores = columns([*results.lightings, "Mean"])
     return Table(
         "images",
         "Mean angular error in degrees against the number of images",
-        ["Method", "Images", "Source", *lightings, "Mean"],
+        [*columns(["Method", "Images"]), _SOURCE, *scores],
         rows,
     )
 
 
-def _cell(result: Result) -> Cell:
-    if result.score:
-        return result.score.mae
-    return "unsupported" if result.unsupported else "truth withheld"
-
-
 def _objects(results: Results) -> Table:
     known = [
-        row
-        for row in PUBLISHED.get(results.benchmark, ())
-        if any(result.tags["object"] in row.scores for result in results.entries)
+        printed
+        for printed in PUBLISHED.get(results.benchmark, ())
+        if any(result.tags["object"] in printed.scores for result in results.entries)
     ]
     tags = [
         tag
         for tag in ("lighting", "category", "material")
         if any(tag in result.tags for result in results.entries)
     ]
-    by_key = {
-        (r.entry, r.label): r for r in results.results if r.count == results.main_count
+    own = {
+        label: {r.entry: r for r in results.of(label, results.main_count)}
+        for label in results.labels
     }
-    rows: list[list[Cell]] = []
+    first = 1 + len(tags)
+    rows: list[Row] = []
     for entry in results.entries:
-        cells = [_cell(by_key[entry.entry, label]) for label in results.labels]
-        published = [row.scores.get(entry.tags["object"]) for row in known]
-        described = [entry.tags.get(tag) for tag in tags]
-        rows.append([entry.entry, *described, *cells, *published])
-    averages = [_mae(results.of(label, results.main_count)) for label in results.labels]
+        cells = [Cell(entry.entry), *(Cell(entry.tags.get(tag)) for tag in tags)]
+        cells += [_error(own[label][entry.entry]) for label in results.labels]
+        best = lowest({c: cells[c].value for c in range(first, len(cells))})
+        cells = [cell._replace(best=c in best) for c, cell in enumerate(cells)]
+        cells += [Cell(p.scores.get(entry.tags["object"])) for p in known]
+        rows.append(Row(cells))
+    means = [mean_error(own[label].values()) for label in results.labels]
+    every = complete(results, {})
+    compared = {
+        first + i: means[i] for i, label in enumerate(results.labels) if label in every
+    }
     rows.append(
-        [
-            "mean",
-            *[None] * len(tags),
-            *averages,
-            *(mean(row, results.evaluated) for row in known),
-        ]
+        row(
+            *("mean", *[None] * len(tags), *means),
+            *(mean(printed, results.evaluated) for printed in known),
+            kind="mean",
+            best=lowest(compared),
+        )
     )
-    columns = ["Object", *(tag.capitalize() for tag in tags), *results.labels]
-    columns += [f"{row.method} (published)" for row in known]
-    return Table("objects", "Mean angular error in degrees per object", columns, rows)
+    head = columns(["Object", *(tag.capitalize() for tag in tags)], results.labels)
+    head += columns(f"{printed.method} (published)" for printed in known)
+    return Table("objects", "Mean angular error in degrees per object", head, rows)
+
+
+def _error(result: Result) -> Cell:
+    if result.score:
+        return Cell(result.score.mae)
+    if result.unsupported:
+        return Cell("unsupported", note=result.reason)
+    return Cell("truth withheld")
 
 
 def _groups(results: Results, tag: str, name: str, words: str) -> Table:
+    """Means over the entries that share a tag's value."""
     values = sorted({r.tags[tag] for r in results.results if tag in r.tags})
-    lightings = results.lightings
-    rows: list[list[Cell]] = []
+    rows: list[Row] = []
     for value in values:
-        for lighting in lightings or (None,):
+        for lighting in results.lightings or (None,):
+            tags = (
+                {tag: value} if lighting is None else {tag: value, "lighting": lighting}
+            )
             picked = [
                 [
-                    r
-                    for r in results.of(label, results.main_count)
-                    if r.tags.get(tag) == value and r.tags.get("lighting") == lighting
+                    result
+                    for result in results.of(label, results.main_count)
+                    if tags.items() <= result.tags.items()
                 ]
                 for label in results.labels
             ]
-            if picked[0]:
-                heading = [value] if lighting is None else [value, lighting]
-                cells = [_mae(own) for own in picked]
-                rows.append([*heading, len(picked[0]), *cells])
-    columns = [words.capitalize(), *(["Lighting"] if lightings else []), "Objects"]
+            if not picked[0]:
+                continue
+            head: list[Value] = [*tags.values(), len(picked[0])]
+            errors = [mean_error(own) for own in picked]
+            every = complete(results, tags)
+            compared = {
+                len(head) + i: errors[i]
+                for i, label in enumerate(results.labels)
+                if label in every
+            }
+            rows.append(row(*head, *errors, best=lowest(compared)))
+    heading = [words.capitalize(), *(["Lighting"] if results.lightings else [])]
     title = f"Mean angular error in degrees per {words}"
-    return Table(name, title, [*columns, *results.labels], rows)
+    return Table(name, title, columns([*heading, "Objects"], results.labels), rows)
 
 
 def _angles(results: Results) -> Table:
-    labels, scores = _common(results)
-    rows: list[list[Cell]] = []
+    scores = common(results)
+    shared = next(iter(scores.values()), [])
+    rows: list[Row] = []
     edges = VIEW_EDGES_DEG
     for i, (low, high) in enumerate(zip(edges, edges[1:], strict=False)):
-        pixels = (
-            sum(score.view_pixels[i] for score in scores[labels[0]]) if labels else 0
-        )
-        if pixels:
-            sums = [sum(s.view_sums[i] for s in scores[label]) for label in labels]
-            bounds = f"{low}-{high}" if high < edges[-1] else f"{low} and more"
-            rows.append([bounds, pixels, *(total / pixels for total in sums)])
-    count = len(scores[labels[0]]) if labels else 0
-    objects = "1 object" if count == 1 else f"{count} objects"
+        pixels = sum(score.view_pixels[i] for score in shared)
+        if not pixels:
+            continue
+        sums = [sum(score.view_sums[i] for score in own) for own in scores.values()]
+        errors = [total / pixels for total in sums]
+        bounds = f"{low}-{high}" if high < edges[-1] else f"{low} and more"
+        every = complete(results, {})
+        compared = {
+            2 + i: error
+            for i, (label, error) in enumerate(zip(scores, errors, strict=True))
+            if label in every
+        }
+        rows.append(row(bounds, pixels, *errors, best=lowest(compared)))
+    objects = "1 object" if len(shared) == 1 else f"{len(shared)} objects"
     return Table(
         "angles",
         "Mean angular error in degrees by the angle between true normal and viewer, "
         f"over the pixels of {objects}, all that these methods share",
-        ["Angle", "Pixels", *labels],
+        columns(["Angle", "Pixels"], scores),
         rows,
     )
 
 
-def _common(results: Results) -> tuple[list[str], dict[str, list[Score]]]:
-    """The methods that share objects, and their scores of these.
-
-    Methods that have more objects come first; one that shares none with those before
-    it is left out.
-    """
-    scored = {
-        label: {
-            result.entry: result.score
-            for result in results.of(label, results.main_count)
-            if result.score
-        }
-        for label in results.labels
-    }
-    shared: set[str] = set()
-    kept: set[str] = set()
-    for label in sorted(scored, key=lambda label: -len(scored[label])):
-        both = shared & set(scored[label]) if kept else set(scored[label])
-        if both:
-            shared = both
-            kept.add(label)
-    return [label for label in results.labels if label in kept], {
-        label: [scored[label][entry] for entry in sorted(shared)] for label in kept
-    }
-
-
 def _measures(results: Results) -> Table:
-    """What the methods say of themselves, such as errors of the lights they found."""
-    lightings = results.lightings
-    rows: list[list[Cell]] = []
+    """The methods' own figures, such as errors of the lights they found."""
+    rows: list[Row] = []
     for label in results.labels:
         own = results.of(label, results.main_count)
         for name in dict.fromkeys(name for r in own for name in r.measures):
             having = [r for r in own if name in r.measures]
-            split = [
-                _average(r.measures[name] for r in _lit(having, lighting))
-                for lighting in lightings
+            means = [
+                average(r.measures[name] for r in lit(having, lighting))
+                for lighting in (*results.lightings, None)
             ]
-            rows.append(
-                [label, name, *split, _average(r.measures[name] for r in having)]
-            )
-    columns = ["Method", "Measure", *lightings, "Mean"]
-    return Table("measures", "What the methods say of their results", columns, rows)
+            rows.append(row(label, name, *means, method=label))
+    head = columns(["Method", "Measure", *results.lightings, "Mean"])
+    return Table("measures", "What the methods say of their results", head, rows)
 
 
 def _methods(results: Results) -> Table:
-    rows = [list(pair) for pair in results.methods.items()]
-    return Table("methods", "What the methods are", ["Method", "What it is"], rows)
+    rows = [row(*pair, method=pair[0]) for pair in results.methods.items()]
+    head = columns(["Method", "What it is"])
+    return Table("methods", "What the methods are", head, rows)
 
 
 def _published(results: Results) -> Table:
     known = PUBLISHED.get(results.benchmark, ())
-    names = list(dict.fromkeys(name for row in known for name in row.scores))
+    names = list(dict.fromkeys(name for printed in known for name in printed.scores))
     names = [name for name in names if name != "mean"]
     return Table(
         "published",
         "Scores as published, in degrees",
-        ["Of", "Method", "Images", *names, "Mean"],
+        columns(["Of", "Method", "Images", *names, "Mean"]),
         [
-            [
-                *(row.group, row.method, _number(row.images)),
-                *(row.scores.get(name) for name in names),
-                mean(row),
-            ]
-            for row in known
+            row(
+                *(printed.group, printed.method, number(printed.images)),
+                *(printed.scores.get(name) for name in names),
+                mean(printed),
+                kind="own" if printed.group == "method" else "folded",
+            )
+            for printed in known
         ],
     )
 
 
 def _remarks(results: Results) -> Table:
-    rows: list[list[Cell]] = []
-    for entry in results.entries:
-        rows += [[entry.entry, None, note] for note in entry.notes]
+    rows = [
+        row(entry.entry, None, note)
+        for entry in results.entries
+        for note in entry.notes
+    ]
     refused: dict[tuple[str, str], list[str]] = {}
-    for result in results.results:
-        if result.count != results.main_count:
-            continue
-        if result.unsupported:
-            key = result.label, result.unsupported
-            refused.setdefault(key, []).append(result.entry)
-        elif result.score and result.score.invalid:
-            text = f"{result.score.invalid} pixels without an estimate count as 90"
-            rows.append([result.entry, result.label, f"{text} degrees"])
+    for label in results.labels:
+        for result in results.of(label, results.main_count):
+            if result.unsupported:
+                refused.setdefault((label, result.unsupported), []).append(result.entry)
+            elif result.score and result.score.invalid:
+                count = f"{result.score.invalid:g} pixels"
+                text = f"{count} without an estimate count as 90 degrees"
+                rows.append(_remark(result.entry, label, text))
     for (label, reason), names in refused.items():
         which = names[0] if len(names) == 1 else f"{len(names)} objects"
-        rows.append([which, label, reason])
-    return Table("remarks", "Remarks", ["Object", "Method", "Remark"], rows)
+        rows.append(_remark(which, label, reason))
+    head = columns(["Object", "Method", "Remark"])
+    return Table("remarks", "Remarks", head, rows)
+
+
+def _remark(which: str, label: str, text: str) -> Row:
+    return Row([Cell(which), Cell(label, method=label), Cell(text)])

@@ -4,13 +4,13 @@ import csv
 import io
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import jinja2
 import markupsafe
 
-from unips_jax.evaluation.summary import Cell, Table
+from unips_jax.evaluation.cells import Table, Value
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -24,19 +24,8 @@ _LATEX = {
 }
 
 
-def text_of(cell: Cell) -> str:
-    """A cell as shown: two digits after the point, a dash for nothing."""
-    if cell is None:
-        return "–"
-    return f"{cell:.2f}" if isinstance(cell, float) else str(cell)
-
-
 def environment(*, html: bool = False) -> jinja2.Environment:
-    """The templates, with a filter for cells.
-
-    Args:
-        html: escape what is filled in.
-    """
+    """The templates; `html`: what is filled in is escaped."""
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=html,
@@ -45,7 +34,6 @@ def environment(*, html: bool = False) -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    made.filters["cell"] = text_of
     made.filters["latex"] = _latex
     made.filters["breakable"] = _breakable
     made.filters["markdown"] = lambda text: text.replace("|", r"\|")
@@ -53,12 +41,7 @@ def environment(*, html: bool = False) -> jinja2.Environment:
 
 
 def files_of(tables: Sequence[Table]) -> dict[str, bytes]:
-    """All tables in all formats.
-
-    Returns:
-        Contents by file name: `tables.md`, `tables.tex`, `tables.json`, and one CSV per
-        table.
-    """
+    """Contents by file name: all tables as Markdown, LaTeX and JSON, a CSV for each."""
     templates = environment()
     made = {
         f"tables.{kind}": templates.get_template(f"tables.{kind}.j2").render(
@@ -66,20 +49,36 @@ def files_of(tables: Sequence[Table]) -> dict[str, bytes]:
         )
         for kind in ("md", "tex")
     }
-    content = {table.name: table._asdict() for table in tables}
+    content = {
+        table.name: {
+            "name": table.name,
+            "title": table.title,
+            "columns": table.names,
+            "rows": table.values,
+        }
+        for table in tables
+    }
     made["tables.json"] = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     made |= {f"{table.name}.csv": _csv(table) for table in tables}
     return {name: text.encode() for name, text in made.items()}
 
 
 def _csv(table: Table) -> str:
+    return csv_text(
+        table.names,
+        [
+            [f"{v:.4f}" if isinstance(v, float) else v for v in row]
+            for row in table.values
+        ],
+    )
+
+
+def csv_text(names: Sequence[str], rows: Iterable[Sequence[Value]]) -> str:
+    """Rows as CSV; None is an empty field."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(table.columns)
-    for row in table.rows:
-        writer.writerow(
-            "" if c is None else f"{c:.4f}" if isinstance(c, float) else c for c in row
-        )
+    writer.writerow(names)
+    writer.writerows(rows)
     return buffer.getvalue()
 
 

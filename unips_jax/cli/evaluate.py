@@ -30,8 +30,8 @@ from unips_jax.evaluation.benchmarks import BENCHMARKS, Benchmark, open_benchmar
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.protocols import Protocol
 from unips_jax.evaluation.registry import NAMES
+from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.store import Store
-from unips_jax.evaluation.tables import text_of
 
 _T = TypeVar("_T")
 _Several = Annotated[tuple[_T, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
@@ -53,7 +53,7 @@ class Options:
             as they are; what the benchmark's published scores used if not given.
         crop_size: side in pixels, of the protocol crop; 256 if not given.
         num_images: numbers of images, or 'all'.
-        seed: of the subsets of images.
+        seeds: of the subsets of images; figures are means over them.
         canonical_size: compare these sizes of the encoder's images (the paper's
             Table 4).
         uniform_contexts: also with contexts that are uniform over space (the paper's
@@ -80,7 +80,9 @@ class Options:
     num_images: Annotated[
         tuple[int | Literal["all"], ...], tyro.conf.arg(metavar="N [N ...]")
     ] = ("all",)
-    seed: int = 0
+    seeds: Annotated[
+        tuple[int, ...], tyro.conf.arg(metavar="N [N ...]", aliases=["--seed"])
+    ] = (0,)
     canonical_size: _Several[int] = ()
     uniform_contexts: bool = False
     no_pictures: bool = False
@@ -125,7 +127,12 @@ def _plan(options: Options) -> runner.Plan:
         track(runner.check_data(benchmark), "checking data", total=len(benchmark))
     )
     return runner.Plan(
-        benchmark, variants, protocol, counts, options.seed, fingerprints
+        benchmark,
+        variants,
+        protocol,
+        counts,
+        tuple(dict.fromkeys(options.seeds)),
+        fingerprints,
     )
 
 
@@ -155,9 +162,9 @@ def _evaluate_one(options: Options) -> None:
 
 def _check_options(options: Options) -> None:
     options.where.check()
-    if options.seed < 0:
-        raise InputError(f"--seed: expected 0 or more, got {options.seed}")
-    for option in ("method", "num_images"):
+    if min(options.seeds, default=0) < 0:
+        raise InputError(f"--seeds: expected 0 or more, got {min(options.seeds)}")
+    for option in ("method", "num_images", "seeds"):
         if not getattr(options, option):
             raise InputError(f"--{option.replace('_', '-')}: expected some, got none")
     if any(request.partition(":")[0] == "unips" for request in options.method):
@@ -183,12 +190,13 @@ def _evaluate(plan: runner.Plan, store: Store, typed: str, *, pictures: bool) ->
     left = [task for task in tasks if not store.done(task.name)]
     for _ in track(runner.execute(plan, left, store), "evaluating", total=len(left)):
         pass
-    results = summary.Results(
+    results = Results(
         plan.benchmark.name,
         plan.protocol.label,
         {variant.label: variant.about for variant in plan.variants},
         plan.counts,
         runner.collect(tasks, store),
+        plan.seeds,
     )
     tables = summary.tables(results)
     written = [publish.write_tables(store, tables)]
@@ -200,8 +208,7 @@ def _evaluate(plan: runner.Plan, store: Store, typed: str, *, pictures: bool) ->
         header = publish.header_of(plan, typed)
         written.append(publish.write_report(store, header, results, tables, exhibits))
     table = tables[0]
-    rows = [[text_of(cell) for cell in row] for row in table.rows]
-    print_table(table.title, table.columns, rows)
+    print_table(table.title, table.names, table.shown)
     for path in written:
         print(f"wrote {path}")
 

@@ -1,8 +1,10 @@
 """A yardstick for weights that is real: photographs, and borders as cameras see them.
 
+    python tools/real_sets.py --photographs ../shared --weights tiny runs/a/last
+
 Scenes from the distribution that trained a network say little of how it does on
-photographs: weights are chosen by these sets (`unips validate --real`), on none of
-which is ever trained.
+photographs: weights are chosen by these sets, on none of which is ever trained. A row
+for each set and object, a column for each of the weights.
 
 - DiLiGenT's objects that are there, 10 images and all; native protocol, as in
   `unips eval`.
@@ -13,9 +15,11 @@ which is ever trained.
 - The same masks on DiLiGenT's objects, with 10 images.
 - Folders that `unips render` wrote.
 
-Sets that are absent are skipped with a line. A constant normal stands beside.
+Sets that are absent are skipped with a line. The last column is a constant normal's.
 """
 
+import argparse
+import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -23,11 +27,12 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import spheres
 
 from unips_jax.baselines.calibrated import woodham
 from unips_jax.baselines.method import Estimated, Lights, Observed
+from unips_jax.console import command, print_table, start_jax
 from unips_jax.errors import InputError
-from unips_jax.evaluation import spheres
 from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.diligent import Diligent
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest
@@ -49,7 +54,7 @@ class RealCase(NamedTuple):
         group: what it is averaged with.
         name: of the object.
         images: `[N, H, W, 3]`, linear.
-        mask: `[H, W]`, bool: what the network is told.
+        mask: `[H, W]`, bool: the one that methods are given.
         normals: `[H, W, 3]`, the truth.
         scored: `[H, W]`, bool.
     """
@@ -65,7 +70,7 @@ class RealCase(NamedTuple):
 def wrong_mask(mask: np.ndarray, offset: float) -> np.ndarray:
     """A mask that is some pixels too large, or too small where negative.
 
-    Distances are Euclidean; pixels beside the border are 1 from the other side.
+    Distances are Euclidean; pixels at the border are 1 from the other side.
 
     Args:
         mask: `[H, W]`, bool.
@@ -236,3 +241,35 @@ def real_cases(
             yield from cases(path)
         else:
             print(f"skipped {path}: no such folder", file=sys.stderr)
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """Parses the command line, scores, and prints."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--photographs", type=Path, default=Path("../shared"), metavar="DIR")
+    add("--weights", nargs="+", default=["tiny"], help="shipped names or files (tiny)")
+    add("--ps-wild", nargs="*", type=Path, default=[], help="from `unips render`")
+    add("--json", action="store_true", help="JSON instead of the table")
+    arguments = parser.parse_args(argv)
+    start_jax()
+    estimates = {source: unips(source) for source in arguments.weights}
+    found = score_all(
+        real_cases(arguments.photographs, arguments.ps_wild),
+        {**estimates, "constant normal": constant_normal},
+    )
+    if arguments.json:
+        return print(json.dumps(found))
+    names = [Path(source).name for source in arguments.weights]
+    print_table(
+        "mean angular error in degrees, photographs and wrong masks",
+        ["set", *names, "constant normal"],
+        [[name, *(f"{x:.2f}" for x in row)] for name, row in table_rows(found)],
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
