@@ -2,8 +2,11 @@
 export {
   BufferAttribute,
   BufferGeometry,
+  DataTexture,
+  DataUtils,
   DoubleSide,
   GLSL3,
+  HalfFloatType,
   LinearFilter,
   Matrix3,
   Mesh,
@@ -11,10 +14,12 @@ export {
   OrthographicCamera,
   PerspectiveCamera,
   RawShaderMaterial,
+  RGBAFormat,
   Scene,
   Spherical,
   Texture,
   Vector3,
+  Vector4,
   WebGLRenderer,
 } from "three";
 export { OrbitControls } from "three/addons/controls/OrbitControls.js";

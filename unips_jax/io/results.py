@@ -28,6 +28,7 @@ _RESULTS = frozenset(
     "plane_4.jpg plane_5.jpg".split()
     + [RECORD]
 )
+_EDITABLE = frozenset(["view.html"])  # readers save their notes into it
 # Names that say nothing of the results': those may be as long as names can be.
 _WORK = ".unips-"
 _BEFORE = "before-"
@@ -68,7 +69,9 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     try:
         record = json.loads((folder / RECORD).read_bytes())
         whole = all(
-            file_hash(folder / name) == value for name, value in record["files"].items()
+            file_hash(folder / name) == value
+            for name, value in record["files"].items()
+            if name not in _EDITABLE
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

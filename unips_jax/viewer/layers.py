@@ -19,6 +19,7 @@ from unips_jax.pictures.maps import colours_of, frame
 from unips_jax.viewer.result import Photograph, Result
 
 MOST_PHOTOGRAPHS = 24
+MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _JPEG = 82
 _PHOTOGRAPH_SIDES = (1024, 768, 512, 384, 256)
 _WHITE = 99.5  # percentile of the object's brightest channel
@@ -81,9 +82,6 @@ def view_of(inside: np.ndarray, side: int) -> View:
 def layers_of(result: Result, view: View) -> dict[str, Any]:
     """Everything but the photographs, as JSON values."""
     kept = view.shrink(result.inside) > 0.5
-    normals = view.shrink_inside(result.normals, result.inside)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    normals = np.where(kept[..., None], normals / np.maximum(length, 1e-6), 0)
     shape = result.normals.shape
     column = ((shape[1] - 1) / 2 - view.columns.start + 0.5) / view.scale - 0.5
     row = ((shape[0] - 1) / 2 - view.rows.start + 0.5) / view.scale - 0.5
@@ -92,12 +90,36 @@ def layers_of(result: Result, view: View) -> dict[str, Any]:
         "width": view.width,
         "height": view.height,
         "scale": view.scale,
-        "camera": {"focal": focal, "column": column, "row": row},
-        "normals": png(np.rint(normals * 127.5 + 127.5).astype(np.uint8)),
+        "first": [view.columns.start, view.rows.start],
+        "unit_mm": unit_mm(result),
+        "camera": {
+            "focal": focal,
+            "column": column,
+            "row": row,
+            "distance": result.pixel_size,
+        },
+        "normals": png(normals_as_bytes(result, view)),
         "depth": None if result.depth is None else _depth(result, view),
         "confidence": _error(result, view, kept),
         "palettes": {"depth": _palette("viridis"), "confidence": _palette("inferno")},
     }
+
+
+def unit_mm(result: Result) -> float | None:
+    """Millimetres per unit of depth: a pixel, or the mean distance; None: not known."""
+    if result.pixel_mm is None:
+        return MILLIMETRES.get(result.unit)
+    side = result.pixel_size  # of a pixel; with a focal length: the mean distance
+    return result.pixel_mm / (side if result.focal is None else side / result.focal)
+
+
+def normals_as_bytes(result: Result, view: View) -> np.ndarray:
+    """Unit normals as 127.5 (n + 1), `[height, width, 3]`, uint8."""
+    kept = view.shrink(result.inside) > 0.5
+    normals = view.shrink_inside(result.normals, result.inside)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.where(kept[..., None], normals / np.maximum(length, 1e-6), 0)
+    return np.rint(normals * 127.5 + 127.5).astype(np.uint8)
 
 
 def _depth(result: Result, view: View) -> dict[str, Any] | None:
@@ -142,10 +164,10 @@ def color_of(result: Result, view: View, mean: np.ndarray | None) -> dict | None
         linear, kind = view.shrink(result.base_color), "base"
     elif mean is not None:
         inside = view.shrink(result.inside) > 0.5
-        linear, kind = mean / _white(mean, inside), "mean"
+        linear, kind = mean / white_of(mean, inside), "mean"
     else:
         return None
-    return {"image": _jpeg(_encoded(linear), max(linear.shape)), "kind": kind}
+    return {"image": jpeg(encoded(linear)), "kind": kind}
 
 
 def photographs_as_pictures(
@@ -159,19 +181,26 @@ def photographs_as_pictures(
     """
     if not photographs:
         return [], None
-    count = min(len(photographs), MOST_PHOTOGRAPHS)
-    shown = set(np.linspace(0, len(photographs) - 1, count).round().astype(int))
+    shown = shown_photographs(len(photographs))
     object_ = view.shrink(inside) > 0.5
     mean = np.zeros((view.height, view.width, 3), np.float32)
     pictures = []
     for index, photograph in enumerate(photographs):
         linear = view.shrink(photograph.read())
         if photograph.bright:
-            linear = linear / _white(linear, object_)
+            linear = linear / white_of(linear, object_)
         mean += linear / len(photographs)
         if index in shown:
-            pictures.append((photograph.name, _encoded(linear)))
+            pictures.append((photograph.name, encoded(linear)))
     return pictures, mean
+
+
+def shown_photographs(count: int) -> list[int]:
+    """Which of `count` photographs are shown: at most 24, evenly chosen."""
+    if not count:
+        return []
+    chosen = np.linspace(0, count - 1, min(count, MOST_PHOTOGRAPHS)).round()
+    return chosen.astype(int).tolist()
 
 
 def packed_photographs(
@@ -180,7 +209,7 @@ def packed_photographs(
     """Photographs as JPEG, as large as a budget of bytes allows."""
     packed: list[dict[str, str]] = []
     for side in _PHOTOGRAPH_SIDES:
-        packed = [{"name": n, "image": _jpeg(p, side)} for n, p in pictures]
+        packed = [{"name": n, "image": jpeg(p, side)} for n, p in pictures]
         if sum(len(p["image"]) for p in packed) <= budget:
             break
     return packed
@@ -193,8 +222,9 @@ def png(pixels: np.ndarray) -> str:
     return _address("png", data.tobytes())
 
 
-def _jpeg(pixels: np.ndarray, side: int) -> str:
-    scale = min(1.0, side / max(pixels.shape[:2]))
+def jpeg(pixels: np.ndarray, side: int | None = None) -> str:
+    """An image as a JPEG in a `data:` address, its longer side at most `side`."""
+    scale = 1.0 if side is None else side / max(pixels.shape[:2])
     if scale < 1:
         size = [max(1, math.floor(length * scale)) for length in pixels.shape[1::-1]]
         pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
@@ -207,11 +237,13 @@ def _address(kind: str, data: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def _encoded(linear: np.ndarray) -> np.ndarray:
+def encoded(linear: np.ndarray) -> np.ndarray:
+    """Linear values as sRGB, uint8."""
     return np.rint(255 * srgb_encode(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
-def _white(linear: np.ndarray, inside: np.ndarray) -> float:
+def white_of(linear: np.ndarray, inside: np.ndarray) -> float:
+    """The value that is to be white, so that the object is well exposed."""
     values = linear[inside] if inside.any() else linear.reshape(-1, 3)
     return max(float(np.percentile(values.max(axis=-1), _WHITE)), 1e-12)
 

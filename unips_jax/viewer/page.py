@@ -1,7 +1,11 @@
-"""The page: one HTML file that opens from disk and asks for nothing else."""
+"""The page: one HTML file that opens from disk and asks for nothing else.
+
+With tiles it is a folder: the page as `index.html`, and full resolution in `tiles/`.
+"""
 
 import dataclasses
 import json
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -9,7 +13,10 @@ from typing import Any
 import jinja2
 
 from unips_jax.io.claims import write_whole
+from unips_jax.io.results import appearing_at_once, file_hash
+from unips_jax.viewer import tiles
 from unips_jax.viewer.layers import (
+    View,
     color_of,
     layers_of,
     packed_photographs,
@@ -24,16 +31,60 @@ BUDGET = 6_000_000
 _SIDES = (1024, 896, 768, 640, 512)
 _PHOTOGRAPHS = 1_800_000
 _LEAST_FOR_PHOTOGRAPHS = 400_000
-_SCRIPTS = ("data", "shaders", "mesh", "stage", "light", "measure", "input", "main")
+_SCRIPTS = (
+    "data shaders detail scale mesh tiles stage light measure notes save input main"
+).split()
+_NOTES = re.compile('(<script type="application/json" id="notes">)(.*?)</script>', re.S)
+FOLDER_RECORD = "tiles.json"
+"""By this file a folder of a page and its tiles is known."""
 
 
 def write_view(path: Path, result: Result) -> None:
-    """Writes a result's page.
+    """Writes a result's page; notes in the page that is there already are kept.
 
     Raises:
         InputError: if a photograph cannot be read any more, or the file system refuses.
     """
-    write_whole(path, page(result).encode())
+    notes = _notes_for(result, path)
+    write_whole(path, page(result, notes=notes).encode())
+
+
+def write_tiled_view(folder: Path, result: Result) -> int:
+    """Writes a result's page as a folder with all its pixels; notes are kept.
+
+    Returns:
+        The number of tiles, 0 if the page itself has all pixels.
+
+    Raises:
+        InputError: see `write_view`.
+    """
+    notes = _notes_for(result, folder / "index.html")
+    with appearing_at_once(folder, record=FOLDER_RECORD) as place:
+        html, view = _page(result, notes, tiled=True)
+        write_whole(place / "index.html", html.encode())
+        (place / "tiles").mkdir()
+        count = tiles.write_tiles(place / "tiles", result, view)
+        hashes = {"index.html": file_hash(place / "index.html")}
+        record = {"files": hashes, "tiles": count}
+        write_whole(place / FOLDER_RECORD, json.dumps(record).encode())
+    return count
+
+
+def _notes_for(result: Result, path: Path) -> dict[str, Any] | None:
+    notes = notes_in(path)
+    if notes and result.pixel_mm is not None:
+        notes.pop("scale", None)  # the one that is given now holds
+    return notes
+
+
+def notes_in(path: Path) -> dict[str, Any] | None:
+    """Notes, views and scale in a page; None if there is no page, or it has none."""
+    try:
+        found = _NOTES.search(path.read_text("utf-8"))
+        notes = json.loads(found.group(2)) if found else None
+    except (OSError, ValueError):
+        return None
+    return notes if isinstance(notes, dict) and notes else None
 
 
 def with_depth(result: Result) -> Result:
@@ -64,9 +115,19 @@ def with_depth(result: Result) -> Result:
     )
 
 
-def page(result: Result) -> str:
-    """The page's HTML, of at most 6 MB."""
-    html = ""
+def page(result: Result, *, notes: dict[str, Any] | None = None) -> str:
+    """The page's HTML, of at most 6 MB.
+
+    Args:
+        result: what to show.
+        notes: from `notes_in` of an earlier page.
+    """
+    return _page(result, notes)[0]
+
+
+def _page(
+    result: Result, notes: dict[str, Any] | None, *, tiled: bool = False
+) -> tuple[str, View]:
     for side in _SIDES:  # noisy normals of the first may be too large
         view = view_of(result.inside, side)
         pictures, mean = photographs_as_pictures(
@@ -79,18 +140,17 @@ def page(result: Result) -> str:
             "environments": json.loads(_asset("environments.json")),
             "strings": json.loads(_asset("strings.json")),
             "facts": _facts(result, len(pictures)),
+            "tiles": tiles.facts_of(view) if tiled else None,
         }
-        room = BUDGET - len(_render(result.title, data).encode())
-        if room < _LEAST_FOR_PHOTOGRAPHS and side != _SIDES[-1]:
-            continue
-        budget = min(room - 1000 * len(pictures), _PHOTOGRAPHS)
-        data["photographs"] = packed_photographs(pictures, budget)
-        html = _render(result.title, data)
-        break
-    return html
+        room = BUDGET - len(_render(result.title, data, notes).encode())
+        if room >= _LEAST_FOR_PHOTOGRAPHS:
+            break
+    budget = min(room - 1000 * len(pictures), _PHOTOGRAPHS)
+    data["photographs"] = packed_photographs(pictures, budget)
+    return _render(result.title, data, notes), view
 
 
-def _render(title: str, data: dict[str, Any]) -> str:
+def _render(title: str, data: dict[str, Any], notes: dict[str, Any] | None) -> str:
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_asset),
         autoescape=True,
@@ -98,17 +158,22 @@ def _render(title: str, data: dict[str, Any]) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    # Within a script element only "<" could end it, or begin a comment.
-    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
     return environment.get_template("page.html.j2").render(
         title=title,
         strings=data["strings"],
-        data=text,
+        data=_json(data),
+        notes=_json(notes or {}),
+        tiled=data["tiles"] is not None,
         style=_asset("page.css"),
         three=_asset("three.min.js"),
         licence=_licence(),
         scripts=[_asset(f"{name}.js") for name in _SCRIPTS],
     )
+
+
+def _json(value: Any) -> str:
+    """For a script element, which only "<" could end, or begin a comment in."""
+    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
 def _asset(name: str) -> str:

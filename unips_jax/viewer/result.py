@@ -44,6 +44,7 @@ class Result:
         unit: of the depth.
         pixel_size: side of a pixel in that unit (orthographic).
         focal: of the depth's camera, in pixels; None: orthographic.
+        pixel_mm: side of a pixel in millimetres, at the mean distance; None: not known.
         base_color: `[H, W, 3]`, linear, float32, in [0, 1].
         expected_error: `[H, W]`, float32, degrees.
         record: the content of `normals.json`.
@@ -56,6 +57,7 @@ class Result:
     unit: str = "pixels"
     pixel_size: float = 1.0
     focal: float | None = None
+    pixel_mm: float | None = None
     base_color: np.ndarray | None = None
     expected_error: np.ndarray | None = None
     record: dict[str, Any] = dataclasses.field(default_factory=dict)

@@ -1,8 +1,11 @@
 // The file's data: pictures as textures and as numbers, and texts by language.
 
-const data = JSON.parse(document.getElementById("data").textContent);
+// The file as it came, before anything is changed: what "save with notes" saves again.
+const source = `<!doctype html>\n${document.documentElement.outerHTML}\n`;
 
 const byId = (name) => document.getElementById(name);
+const data = JSON.parse(byId("data").textContent);
+const kept = JSON.parse(byId("notes").textContent); // what a reader saved: see notes.js
 
 let language = navigator.language.startsWith("de") ? "de" : "en";
 
@@ -15,11 +18,6 @@ function say(key, ...values) {
 
 function number(value, digits = 1) {
   return value.toLocaleString(language, { maximumFractionDigits: digits, minimumFractionDigits: digits });
-}
-
-function unitName(unit) {
-  const known = data.strings[language][`unit_${unit}`];
-  return known ?? unit;
 }
 
 /** Decodes a picture; resolves to an image element. */
@@ -80,6 +78,31 @@ function depthBetween(bytes, column, row) {
   const between = a + down * (b - a);
   return Number.isNaN(between) ? depthAt(bytes, column, row) : between;
 }
+
+/** Side of a pixel of this picture, in the depth's unit; at the mean distance, if the
+ * camera is not orthographic and there is no depth. */
+function pixelSize(depth = NaN) {
+  const { focal, distance } = data.camera;
+  if (focal === null) return data.depth?.pixel ?? data.scale;
+  return (Number.isNaN(depth) ? distance : depth) / focal;
+}
+
+/** A place of this picture as a point in space, in the depth's unit: x right, y up, z
+ * towards the viewer; z is NaN where there is no surface. */
+function spaceAt(depthBytes, [column, row]) {
+  const depth = depthBytes ? depthBetween(depthBytes, column, row) : NaN;
+  const side = pixelSize(depth);
+  return [
+    (column - 0.5 - data.camera.column) * side,
+    -(row - 0.5 - data.camera.row) * side,
+    -depth,
+  ];
+}
+
+/** Pixels of the result from those of this picture, and back: files may hold pictures
+ * of other sizes, notes stay where they are. */
+const resultPlace = (place) => place.map((value, axis) => data.first[axis] + value * data.scale);
+const picturePlace = (place) => place.map((value, axis) => (value - data.first[axis]) / data.scale);
 
 function pixelAt(column, row) {
   const x = Math.floor(column);

@@ -4,21 +4,26 @@
 function listen(element, stage, light, measure, stopTurning) {
   const pointers = new Map(); // those that are down: id -> place
   let press = null; // where a click may end
+  let line = null; // where a line that is drawn begins: column and row
 
   const place = (event) => {
     const box = element.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   };
+  // A middle or right button, or Shift, moves the picture where a drag draws.
+  const moves = (event) => event.shiftKey || (event.buttons & 6) > 0;
 
   element.addEventListener("pointerdown", (event) => {
     if (event.target.id === "divider") return;
     const at = place(event);
     pointers.set(event.pointerId, at);
-    press = pointers.size === 1 ? at : null;
+    press = pointers.size === 1 && event.button === 0 ? at : null;
+    line = null;
     stopTurning();
     if (event.pointerType !== "mouse" && stage.mode === "picture" && !measure.active) {
       light.follow(...at, stage.size);
     }
+    if (stage.mode === "picture" && measure.drags && press && !event.shiftKey) line = stage.pixelAt(...at);
   });
 
   element.addEventListener("pointermove", (event) => {
@@ -32,6 +37,7 @@ function listen(element, stage, light, measure, stopTurning) {
     if (press && Math.hypot(at[0] - press[0], at[1] - press[1]) > 5) press = null;
     if (stage.mode === "picture") {
       if (pointers.size === 2) pinch(event.pointerId, at);
+      else if (line && !moves(event)) press ?? measure.drag(line, stage.pixelAt(...at));
       else if (event.pointerType === "mouse" || measure.active) pan(before, at);
       else if (follows) light.follow(...at, stage.size);
     }
@@ -58,19 +64,12 @@ function listen(element, stage, light, measure, stopTurning) {
       if (name === "pointerup" && down && press && measure.active) {
         measure.set(...stage.pixelAt(...place(event)));
       }
-      press = null;
+      press = line = null;
     });
   }
+  element.addEventListener("contextmenu", (event) => event.preventDefault());
 
-  element.addEventListener(
-    "wheel",
-    (event) => {
-      if (stage.mode !== "picture") return; // the surface's controls zoom
-      event.preventDefault();
-      stage.zoomBy(Math.exp(-event.deltaY / 400), ...place(event));
-    },
-    { passive: false }
-  );
+  listenToWheel(element, stage, place);
 
   element.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey) return;
@@ -94,6 +93,34 @@ function listen(element, stage, light, measure, stopTurning) {
     else if (stage.mode === "surface" && !shift) stage.turnBy(5 * right, 5 * up);
     else light.nudge(5 * right, 5 * up);
   }
+}
+
+/** The wheel zooms. Where it would scroll this page or one around it, it does so only
+ * once the stage was clicked, until a click elsewhere. */
+function listenToWheel(element, stage, place) {
+  let clicked = false;
+  const scrolls = () =>
+    window.parent !== window || document.documentElement.scrollHeight > window.innerHeight + 1;
+  document.addEventListener("pointerdown", (event) => (clicked = element.contains(event.target)), { capture: true });
+  window.addEventListener("blur", () => (clicked = false));
+  element.addEventListener("focus", () => (clicked ||= element.matches(":focus-visible")));
+  let hiding;
+  element.addEventListener(
+    "wheel",
+    (event) => {
+      event.stopPropagation(); // before the surface's controls, which zoom otherwise
+      if (!clicked && !event.ctrlKey && scrolls()) {
+        byId("hint").hidden = false;
+        clearTimeout(hiding);
+        hiding = setTimeout(() => (byId("hint").hidden = true), 1500);
+        return;
+      }
+      byId("hint").hidden = true;
+      event.preventDefault();
+      stage.zoomBy(Math.exp(-event.deltaY / 400), ...place(event));
+    },
+    { passive: false, capture: true }
+  );
 }
 
 /** The line between both layers, moved by its own handle or by a slider. */

@@ -44,23 +44,31 @@ async function start() {
   });
   const layers = layersOf(textures);
   connectLayers(stage, layers);
-  connectLight(stage);
+  connectLight(stage, normalBytes);
   const page = connectTools(stage, measure);
   listen(byId("stage"), stage, light, measure, page.stopTurning);
+  const notes = new Notes(stage, viewStates(stage, light, page));
+  measure.onNote = (place) => notes.add(place);
+  connectSaving(stage, notes, normalBytes);
 
   const translate = () => {
     texts(layers);
     light.apply();
     measure.tell();
     page.describe();
+    notes.fill();
     byId("left").dispatchEvent(new Event("change"));
   };
+  connectScale(measure, () => {
+    translate();
+    notes.changed();
+  });
   byId("language").value = language;
   byId("language").addEventListener("change", () => {
     language = byId("language").value;
     translate();
   });
-  stage.onDrawn = () => measure.draw();
+  stage.onDrawn = () => byId("overlay").replaceChildren(...measure.parts(), ...notes.parts(), ...scaleBar(stage));
   translate();
   stage.draw();
   document.body.dataset.ready = "true";
@@ -85,9 +93,11 @@ function connectLayers(stage, layers) {
     stage.changed();
   };
   const chosen = async () => {
-    for (const [select, material] of [[left, stage.left], [right, stage.right]]) {
+    for (const [side, select] of Object.entries({ left, right })) {
       const layer = find(select);
+      const material = stage[side];
       if (!layer) continue;
+      stage.layers[side] = layer;
       if (layer.texture) {
         const texture = await layer.texture();
         if (find(select) !== layer) continue; // another was chosen meanwhile
@@ -114,10 +124,10 @@ function legend(layers) {
     const colors = data.palettes[kind].map((rgb) => `rgb(${rgb.map((c) => Math.round(255 * c)).join(" ")})`);
     bar.style.background = `linear-gradient(90deg, ${colors.join(", ")})`;
     const ends = document.createElement("div");
-    const { near, far, unit } = data.depth ?? {};
+    const { near, far } = data.depth ?? {};
     const texts =
       kind === "depth"
-        ? [say("far"), `${number(far - near, 2)} ${unitName(unit)}`, say("near")]
+        ? [say("far"), scale.text(far - near, 2), say("near")]
         : ["0°", say("layer_confidence"), `${number(data.confidence.top, 0)}°`];
     ends.append(...texts.map((text) => Object.assign(document.createElement("span"), { textContent: text })));
     parts.push(bar, ends);
@@ -126,7 +136,7 @@ function legend(layers) {
   byId("legend").replaceChildren(...parts);
 }
 
-function connectLight(stage) {
+function connectLight(stage, normalBytes) {
   const environment = byId("environment");
   Object.keys(data.environments).forEach((name) => environment.append(new Option("", name)));
   const apply = () => {
@@ -136,6 +146,15 @@ function connectLight(stage) {
     light.forEach((rgb, index) => stage.shared.harmonics.value[index].set(...rgb));
     stage.changed();
   };
+  byId("detail").addEventListener("input", () => {
+    const share = byId("detail").value / 100;
+    if (share && !stage.hasDetail) {
+      stage.hasDetail = true; // made when it is first wanted
+      stage.shared.aroundMap.value = meansAround(normalBytes);
+    }
+    stage.shared.detail.value = 4 * share;
+    stage.changed();
+  });
   byId("colored").disabled = data.color === null;
   for (const name of ["gloss", "colored", "environment"]) byId(name).addEventListener("input", apply);
   environment.addEventListener("input", () => {
@@ -155,18 +174,15 @@ function connectTools(stage, measure) {
     }
   };
   const describe = () => {
-    const what = measure.active ? "measure" : stage.mode === "surface" ? "surface" : "light";
+    const what = measure.active ? measure.tool : stage.mode === "surface" ? "surface" : "light";
     byId("keys").textContent = say(`keys_${what}`);
     byId("turning").hidden = stage.mode !== "surface";
-    const turns = Boolean(stage.controls?.autoRotate) && stage.mode === "surface";
-    byId("turning").setAttribute("aria-pressed", String(turns));
+    byId("turning").setAttribute("aria-pressed", String(stage.turning && stage.mode === "surface"));
   };
   const turn = (on) => {
-    if (!stage.controls) return;
-    stage.controls.autoRotate = on;
-    stage.drawnAt = undefined; // the time until now was no frame
+    if (!stage.solid) return;
+    stage.setTurning(on);
     describe();
-    stage.changed();
   };
   const mode = (value) => {
     const first = !stage.solid;
@@ -174,9 +190,8 @@ function connectTools(stage, measure) {
     stage.setMode(value);
     press("modes", "mode", value);
     const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (value === "surface" && first && !still) stage.controls.autoRotate = true;
+    if (value === "surface" && first && !still) stage.setTurning(true);
     describe();
-    measure.draw();
   };
   const tool = (value) => {
     if (value !== "light" && stage.mode === "surface") mode("picture");
@@ -193,9 +208,68 @@ function connectTools(stage, measure) {
   byId("nearer").addEventListener("click", () => stage.zoomBy(1.25));
   byId("farther").addEventListener("click", () => stage.zoomBy(0.8));
   byId("whole").addEventListener("click", () => stage.showWhole());
-  byId("turning").addEventListener("click", () => turn(!stage.controls.autoRotate));
+  byId("turning").addEventListener("click", () => turn(!stage.turning));
   stage.onTooSlow = () => turn(false);
-  return { describe, stopTurning: () => stage.controls?.autoRotate && turn(false) };
+  return { describe, mode, stopTurning: () => stage.turning && turn(false) };
+}
+
+/** The length between two points gives everything a unit. */
+function connectScale(measure, changed) {
+  const field = byId("millimetres");
+  const apply = () => {
+    const length = Number(field.value.replace(",", "."));
+    if (!(length > 0) || !Number.isFinite(length) || !(measure.distance > 0)) return field.focus();
+    scale.mm = length / measure.distance;
+    changed();
+  };
+  byId("apply-scale").addEventListener("click", apply);
+  field.addEventListener("keydown", (event) => event.key === "Enter" && apply());
+  byId("drop-scale").addEventListener("click", () => {
+    scale.mm = null;
+    changed();
+  });
+}
+
+/** What is shown as values to keep, and shown again from them. */
+function viewStates(stage, light, page) {
+  const fields = ["left", "right", "split", "gloss", "detail", "environment"];
+  const capture = () => ({
+    mode: stage.mode,
+    ...Object.fromEntries(fields.map((name) => [name, byId(name).value])),
+    colored: byId("colored").checked,
+    light: [light.azimuth, light.elevation],
+    zoom: stage.zoom,
+    center: resultPlace(stage.center),
+    camera: stage.solid && {
+      position: stage.camera.position.toArray().map((value) => value / stage.solid.geometry.userData.radius),
+      target: stage.controls.target.toArray().map((value) => value / stage.solid.geometry.userData.radius),
+    },
+  });
+  const restore = (state) => {
+    page.mode(state.mode === "surface" && data.depth ? "surface" : "picture");
+    page.stopTurning();
+    for (const name of fields) byId(name).value = state[name];
+    if (!byId("left").value) byId("left").value = "lit"; // a layer that is no more
+    byId("colored").checked = state.colored;
+    for (const name of ["left", "environment", "gloss", "detail", "split"]) {
+      byId(name).dispatchEvent(new Event(name === "left" ? "change" : "input"));
+    }
+    byId("left").value = state.left; // the environment's field may have changed it
+    byId("left").dispatchEvent(new Event("change"));
+    [light.azimuth, light.elevation] = state.light;
+    light.apply();
+    stage.zoom = state.zoom;
+    stage.center = picturePlace(state.center);
+    stage.moveBy(0, 0);
+    if (stage.mode === "surface" && state.camera) {
+      const { radius } = stage.solid.geometry.userData;
+      stage.controls.target.set(...state.camera.target.map((value) => value * radius));
+      stage.camera.position.set(...state.camera.position.map((value) => value * radius));
+      stage.controls.update();
+    }
+    stage.changed();
+  };
+  return { capture, restore };
 }
 
 /** Puts all texts in the chosen language. */

@@ -1,6 +1,13 @@
-// Measuring between two points of the picture: an angle of normals, a profile of depth.
+// Tools with points: angles of normals, profiles of depth, a scale, places of notes.
 
 const SAMPLES = 400;
+const TOOLS = {
+  light: { points: 0 },
+  angle: { points: 2 },
+  profile: { points: 2, drags: true },
+  scale: { points: 2, drags: true, anywhere: true },
+  note: { points: 1, anywhere: true },
+};
 
 /** Points that were set, and the cross that keys move. Places are columns and rows. */
 class Measure {
@@ -12,6 +19,7 @@ class Measure {
     this.points = [];
     this.cross = [data.width / 2, data.height / 2];
     this.showCross = false;
+    this.onNote = () => {};
   }
 
   setTool(tool) {
@@ -23,24 +31,44 @@ class Measure {
     return this.tool !== "light";
   }
 
+  get drags() {
+    return Boolean(TOOLS[this.tool].drags);
+  }
+
   reset() {
     this.points = [];
     this.showCross = false;
-    byId("profile").hidden = true;
     this.tell();
-    this.draw();
+    this.stage.changed();
   }
 
-  /** Sets a point; the third begins anew. */
+  allowed(point) {
+    return TOOLS[this.tool].anywhere ? pixelAt(...point) >= 0 : this.normal(point) !== null;
+  }
+
+  /** Sets a point; after the last it begins anew. */
   set(column, row) {
-    if (!this.normal([column, row])) {
+    const point = [column, row];
+    if (!this.allowed(point)) {
       byId("reading").textContent = say("outside");
       return;
     }
+    if (this.tool === "note") return this.onNote(point);
     if (this.points.length === 2) this.points = [];
-    this.points.push([column, row]);
+    this.points.push(point);
     this.tell();
-    this.draw();
+    this.stage.changed();
+  }
+
+  /** Draws a line: its first point stays, its second follows. */
+  drag(from, to) {
+    if (!this.allowed(from)) {
+      byId("reading").textContent = say("outside");
+      return;
+    }
+    if (this.allowed(to)) this.points = [from, to];
+    this.tell();
+    this.stage.changed();
   }
 
   moveCross(right, down) {
@@ -49,7 +77,7 @@ class Measure {
       Math.min(Math.max(this.cross[axis] + step, 0), limits[axis] - 1)
     );
     this.showCross = true;
-    this.draw();
+    this.stage.changed();
   }
 
   /** Mean of the 3 x 3 normals around a point, a unit vector; null off the surface. */
@@ -66,15 +94,20 @@ class Measure {
     return sum.map((value) => value / length);
   }
 
-  /** Says in the reading what is to be done, or what was found. */
+  /** Distance of the two points in the depth's unit. */
+  get distance() {
+    return distanceOf(this.depthBytes, ...this.points);
+  }
+
+  /** Shows in the reading what is to be done, or what was found. */
   tell() {
     const reading = byId("reading");
-    byId("profile").hidden = true;
+    const whole = this.points.length === TOOLS[this.tool].points;
+    byId("profile").hidden = !(this.tool === "profile" && whole);
+    byId("set-scale").hidden = !(this.tool === "scale" && whole);
     if (!this.active) reading.textContent = "";
-    else if (this.points.length < 2) {
-      reading.textContent = say(`${this.tool}_${this.points.length ? "second" : "first"}`);
-    } else if (this.tool === "angle") reading.textContent = this.angle();
-    else reading.textContent = this.profile();
+    else if (!whole) reading.textContent = say(`${this.tool}_${this.points.length ? "second" : "first"}`);
+    else reading.textContent = this[this.tool]();
   }
 
   angle() {
@@ -90,30 +123,30 @@ class Measure {
     return say("angle_result", number(degrees), ...shown);
   }
 
+  scale() {
+    const pixels = Math.hypot(...this.points[0].map((value, axis) => value - this.points[1][axis]));
+    return say("scale_length", scale.across(pixels));
+  }
+
   profile() {
     const [from, to] = this.points;
-    const length = Math.hypot(to[0] - from[0], to[1] - from[1]);
+    const pixels = Math.hypot(to[0] - from[0], to[1] - from[1]);
     const heights = Array.from({ length: SAMPLES + 1 }, (_, i) => {
       const at = from.map((value, axis) => value + ((to[axis] - value) * i) / SAMPLES);
       return -depthBetween(this.depthBytes, ...at);
     });
     const there = heights.filter((value) => !Number.isNaN(value));
     const [low, high] = [Math.min(...there), Math.max(...there)];
-    const unit = unitName(data.depth.unit);
     const digits = data.camera.focal === null ? 1 : 4;
-    this.chart(heights, length * data.scale, low, high, unit, digits);
-    const difference = heights.at(-1) - heights[0];
-    return say(
-      "profile_result",
-      number(length * data.scale, 0),
-      number(difference, digits),
-      unit,
-      number(high - low, digits)
-    );
+    const text = (height) => scale.text(height, digits);
+    const length = scale.across(pixels, -(low + high) / 2);
+    this.chart(heights, length, low, high, text);
+    const [rise, range] = [heights.at(-1) - heights[0], high - low];
+    return say("profile_result", length, text(rise), text(range), text(this.distance));
   }
 
-  chart(heights, length, low, high, unit, digits) {
-    const [left, right, top, bottom] = [52, 310, 12, 130];
+  chart(heights, length, low, high, text) {
+    const [left, right, top, bottom] = [64, 310, 12, 130];
     const reach = high - low || 1;
     const x = (i) => left + ((right - left) * i) / SAMPLES;
     const y = (height) => bottom - ((bottom - top) * (height - low)) / reach;
@@ -126,50 +159,37 @@ class Measure {
         pen = "L";
       }
     });
-    const parts = [
+    byId("chart").replaceChildren(
       svg("line", { x1: left, y1: bottom, x2: right, y2: bottom }),
       svg("line", { x1: left, y1: top, x2: left, y2: bottom }),
       svg("path", { d: path }),
-      svg("text", { x: left - 4, y: top + 4, "text-anchor": "end" }, number(reach, digits)),
+      svg("text", { x: left - 4, y: top + 4, "text-anchor": "end" }, text(reach).replace(/ .*/, "")),
       svg("text", { x: left - 4, y: bottom + 4, "text-anchor": "end" }, "0"),
       svg("text", { x: left, y: bottom + 15 }, "1"),
-      svg("text", { x: right, y: bottom + 15, "text-anchor": "end" }, `2 (${number(length, 0)})`),
+      svg("text", { x: right, y: bottom + 15, "text-anchor": "end" }, `2 (${length})`),
       svg("text", { x: (left + right) / 2, y: bottom + 32, "text-anchor": "middle" }, say("profile_axis")),
-      svg("text", { x: left + 6, y: top + 4 }, say("profile_height", unit)),
-    ];
-    byId("chart").replaceChildren(...parts);
-    byId("chart").setAttribute("aria-label", say("profile_chart", 0, number(reach, digits), unit));
-    byId("profile").hidden = false;
+      svg("text", { x: left + 6, y: top + 4 }, say("profile_height", text(reach).replace(/^\S+ /, "")))
+    );
+    byId("chart").setAttribute("aria-label", say("profile_chart", text(reach)));
   }
 
-  /** Draws points, line and cross over the picture. */
-  draw() {
+  /** Points, line and cross over the picture, as parts of the overlay. */
+  parts() {
+    if (!this.active || this.stage.mode !== "picture") return [];
+    const places = this.points.map((point) => this.stage.screenAt(...point));
     const parts = [];
-    const add = (name, attributes) => {
-      parts.push(svg(name, { ...attributes, class: "mark" }), svg(name, { ...attributes, class: "mark" }));
-    };
-    if (this.active && this.stage.mode === "picture") {
-      const places = this.points.map((point) => this.stage.screenAt(...point));
-      if (this.tool === "profile" && places.length === 2) {
-        const [[x1, y1], [x2, y2]] = places;
-        add("line", { x1, y1, x2, y2 });
-      }
-      places.forEach(([x, y], index) => {
-        add("circle", { cx: x, cy: y, r: 6 });
-        parts.push(svg("text", { x: x + 10, y: y - 8 }, String(index + 1)));
-      });
-      if (this.showCross) {
-        const [x, y] = this.stage.screenAt(this.cross[0] + 0.5, this.cross[1] + 0.5);
-        add("path", { d: `M${x - 12} ${y}H${x - 3}M${x + 3} ${y}H${x + 12}M${x} ${y - 12}V${y - 3}M${x} ${y + 3}V${y + 12}` });
-      }
+    if (this.drags && places.length === 2) {
+      const [[x1, y1], [x2, y2]] = places;
+      parts.push(...marked("line", { x1, y1, x2, y2 }));
     }
-    byId("overlay").replaceChildren(...parts);
+    places.forEach(([x, y], index) => {
+      parts.push(...marked("circle", { cx: x, cy: y, r: 6 }), label(x + 10, y - 8, String(index + 1)));
+    });
+    if (this.showCross) {
+      const [x, y] = this.stage.screenAt(this.cross[0] + 0.5, this.cross[1] + 0.5);
+      const arms = `M${x - 12} ${y}H${x - 3}M${x + 3} ${y}H${x + 12}M${x} ${y - 12}V${y - 3}M${x} ${y + 3}V${y + 12}`;
+      parts.push(...marked("path", { d: arms }));
+    }
+    return parts;
   }
-}
-
-function svg(name, attributes, text = "") {
-  const element = document.createElementNS("http://www.w3.org/2000/svg", name);
-  Object.entries(attributes).forEach(([key, value]) => element.setAttribute(key, value));
-  element.textContent = text;
-  return element;
 }

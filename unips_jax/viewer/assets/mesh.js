@@ -36,12 +36,8 @@ function surfaceGeometry(depthBytes) {
   geometry.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
   geometry.setIndex(new THREE.BufferAttribute(triangles(depths, columns, rows, step), 1));
   centre(geometry, depths);
+  geometry.userData.limit = turnLimit(position, depths, columns, rows);
   return geometry;
-}
-
-/** Side of a pixel of this picture at a depth, in the depth's unit. */
-function pixelSize(depth) {
-  return data.camera.focal === null ? data.depth.pixel : depth / data.camera.focal;
 }
 
 /** Two triangles between four neighbours, unless they bridge a jump; seen from in front
@@ -86,6 +82,33 @@ function centre(geometry, depths) {
     const point = position.subarray(3 * k, 3 * k + 3);
     squared = Math.max(squared, point[0] ** 2 + point[1] ** 2 + point[2] ** 2);
   }
-  const radius = Math.sqrt(squared) || 1;
-  geometry.userData = { radius };
+  geometry.userData = { radius: Math.sqrt(squared) || 1, middle };
+}
+
+const [LEAST_TURN, MOST_TURN] = [35, 75].map((degrees) => (degrees * Math.PI) / 180);
+
+/** How far the surface may turn from the viewer, as an angle: not so far that it is seen
+ * from behind. Where the surface sinks towards its edge at a slope, as a bowl does within
+ * its rim, its back comes into sight beyond 90 degrees less the slope. The steepest 5% of
+ * the edge may show theirs. */
+function turnLimit(position, depths, columns, rows) {
+  const height = (k) => position[3 * k + 2];
+  const angles = [];
+  for (let j = 1; j + 1 < rows; j++) {
+    for (let i = 1; i + 1 < columns; i++) {
+      const k = j * columns + i;
+      if (Number.isNaN(depths[k])) continue;
+      for (const step of [1, -1, columns, -columns]) {
+        if (!Number.isNaN(depths[k + step]) || Number.isNaN(depths[k - step])) continue;
+        const across = Math.hypot(
+          position[3 * k] - position[3 * (k - step)],
+          position[3 * k + 1] - position[3 * (k - step) + 1]
+        );
+        angles.push(Math.atan2(across, Math.max(height(k) - height(k - step), 0)));
+      }
+    }
+  }
+  angles.sort((a, b) => a - b);
+  const found = angles[Math.floor(0.05 * angles.length)] ?? MOST_TURN;
+  return Math.min(Math.max(found, LEAST_TURN), MOST_TURN);
 }

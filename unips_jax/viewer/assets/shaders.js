@@ -16,7 +16,9 @@ void main() {
 const FRAGMENT = `
 precision highp float;
 uniform int kind;
-uniform sampler2D normalMap, colorMap, pictureMap, depthMap, errorMap;
+uniform sampler2D normalMap, colorMap, pictureMap, depthMap, errorMap, aroundMap;
+uniform vec4 part;           // of the picture that the first three show: corner, 1 / size
+uniform float detail;        // how much normals differ more from those around them
 uniform mat3 turn;           // from the normals' frame to the viewer's
 uniform vec3 light;          // towards the light, in the viewer's frame
 uniform float gloss;
@@ -51,15 +53,18 @@ vec3 irradiance(vec3 n) {
 }
 
 void main() {
-  vec3 stored = texture(normalMap, place).rgb * (255.0 / 127.5) - 1.0;
+  vec2 own = (place - part.xy) * part.zw;
+  vec3 stored = texture(normalMap, own).rgb * (255.0 / 127.5) - 1.0;
   float size = length(stored);
   bool inside = size > 0.5;
   vec3 raw = stored / max(size, 1e-4);
-  vec3 n = turn * raw;
-  float back = gl_FrontFacing ? 1.0 : 0.25;
-  vec3 albedo = colored ? linear(texture(colorMap, place).rgb) : vec3(0.75);
+  vec3 n = raw;
+  if (detail > 0.0) n = normalize(raw + detail * (raw - texture(aroundMap, place).xyz));
+  n = turn * n;
+  if (!gl_FrontFacing) n = -n;  // the back is lit as well
+  vec3 albedo = colored ? linear(texture(colorMap, own).rgb) : vec3(0.75);
   vec3 result = vec3(18.0 / 255.0);
-  if (kind == 5) result = texture(pictureMap, place).rgb;
+  if (kind == 5) result = texture(pictureMap, own).rgb;
   if (inside) {
     if (kind == 0) {
       vec3 halfway = normalize(light + vec3(0.0, 0.0, 1.0));
@@ -79,8 +84,10 @@ void main() {
       result = ramp(errorColors, texture(errorMap, place).r);
     }
   }
-  shown = vec4(result * back, 1.0);
+  shown = vec4(result, 1.0);
 }`;
+
+const WHOLE = new THREE.Vector4(0, 0, 1, 1);
 
 /** Textures and everything else that both halves of the picture share. */
 function sharedUniforms(textures) {
@@ -92,6 +99,8 @@ function sharedUniforms(textures) {
     errorMap: { value: textures.confidence },
     turn: { value: new THREE.Matrix3() },
     light: { value: new THREE.Vector3(0, 0, 1) },
+    aroundMap: { value: textures.normals },
+    detail: { value: 0 },
     gloss: { value: 0.15 },
     colored: { value: true },
     harmonics: { value: Array.from({ length: 9 }, () => new THREE.Vector3()) },
@@ -100,13 +109,15 @@ function sharedUniforms(textures) {
   };
 }
 
-/** A material for one half: its kind of layer is its own, the rest is shared. */
-function layerMaterial(shared, blank) {
+/** A material for one half: its kind of layer is its own, the rest is shared. Those of
+ * tiles have `more` of their own. */
+function layerMaterial(shared, blank, more = {}) {
+  const own = { kind: { value: KINDS.lit }, pictureMap: { value: blank }, part: { value: WHOLE } };
   return new THREE.RawShaderMaterial({
     glslVersion: THREE.GLSL3,
     vertexShader: VERTEX,
     fragmentShader: FRAGMENT,
     side: THREE.DoubleSide,
-    uniforms: { ...shared, kind: { value: KINDS.lit }, pictureMap: { value: blank } },
+    uniforms: { ...shared, ...own, ...more },
   });
 }

@@ -10,18 +10,21 @@ class Stage {
     this.shared = sharedUniforms(textures);
     this.left = layerMaterial(this.shared, textures.normals);
     this.right = layerMaterial(this.shared, textures.normals);
+    this.layers = { left: { kind: "lit" }, right: { kind: "lit" } };
     this.split = 1; // share of the width that shows the left layer
     this.mode = "picture";
+    this.turning = false; // by itself
     this.onDrawn = () => {};
     this.onTooSlow = () => {};
     this.depthBytes = depthBytes;
-    this.flat = new THREE.Mesh(flatGeometry(), this.left);
+    this.flat = new THREE.Mesh(rectangle([0, 1], [0, 1]), this.left);
     this.scene = new THREE.Scene();
     this.scene.add(this.flat);
     this.flatCamera = new THREE.OrthographicCamera(-1, 1, 1, -1, -1, 1);
     this.camera = new THREE.PerspectiveCamera(30, 1, 0.01, 100);
     this.solid = null;
     this.controls = null;
+    this.tiles = data.tiles ? new Tiles(this) : null;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     this.showWhole();
     this.resize();
@@ -42,9 +45,54 @@ class Stage {
     this.solid.frustumCulled = false;
     this.scene.add(this.solid);
     this.controls = new THREE.OrbitControls(this.camera, this.canvas);
-    this.controls.addEventListener("change", () => this.changed());
-    this.controls.autoRotateSpeed = 3;
+    this.controls.addEventListener("change", () => {
+      this.holdBack();
+      this.changed();
+    });
     this.showWhole();
+  }
+
+  /** Turns the camera back to where the surface is seen from in front. */
+  holdBack() {
+    const { position } = this.camera;
+    const { target } = this.controls;
+    const offset = position.clone().sub(target);
+    const length = offset.length();
+    const { limit } = this.solid.geometry.userData;
+    if (Math.acos(Math.min(Math.max(offset.z / length, -1), 1)) <= limit + 1e-4) return;
+    const aside = Math.hypot(offset.x, offset.y) || 1;
+    const share = (length * Math.sin(limit)) / aside;
+    offset.set(offset.x * share, offset.y * share, length * Math.cos(limit));
+    position.copy(target).add(offset);
+    this.camera.lookAt(target);
+  }
+
+  /** Where the camera is around the surface: angles in radians to the right and up. */
+  turnTo(around, over) {
+    const length = this.camera.position.distanceTo(this.controls.target);
+    const place = new THREE.Spherical(length, Math.PI / 2 - over, around);
+    this.camera.position.setFromSpherical(place).add(this.controls.target);
+    this.controls.update();
+    this.holdBack();
+    this.changed();
+  }
+
+  /** A place of the picture on the surface, as a place of the stage. */
+  solidAt(column, row) {
+    const space = spaceAt(this.depthBytes, [column, row]);
+    if (Number.isNaN(space[2])) return null;
+    const { middle } = this.solid.geometry.userData;
+    const point = new THREE.Vector3(...space.map((value, axis) => value - middle[axis]));
+    point.project(this.camera);
+    return [((point.x + 1) / 2) * this.size[0], ((1 - point.y) / 2) * this.size[1]];
+  }
+
+  /** The depth's unit per pixel of the screen; of the surface, at its middle. */
+  unitPerScreenPixel() {
+    if (this.mode === "picture") return pixelSize() / this.magnification;
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    const angle = (this.camera.fov * Math.PI) / 180;
+    return (2 * distance * Math.tan(angle / 2)) / this.size[1];
   }
 
   /** Shows all of the picture, and the surface from in front. */
@@ -108,7 +156,7 @@ class Stage {
       return this.changed();
     }
     const before = this.pixelAt(x, y);
-    this.zoom = Math.min(Math.max(this.zoom * factor, 1), 40);
+    this.zoom = Math.min(Math.max(this.zoom * factor, 1), 40 * Math.max(1, data.scale / 4));
     const after = this.pixelAt(x, y);
     this.moveBy(before[0] - after[0], before[1] - after[1]);
   }
@@ -127,13 +175,9 @@ class Stage {
   /** Turns the surface by angles in degrees. */
   turnBy(around, over) {
     const offset = this.camera.position.clone().sub(this.controls.target);
-    const place = new THREE.Spherical().setFromVector3(offset);
-    place.theta -= (around * Math.PI) / 180;
-    place.phi -= (over * Math.PI) / 180;
-    place.makeSafe();
-    this.camera.position.setFromSpherical(place).add(this.controls.target);
-    this.controls.update();
-    this.changed();
+    const { theta, phi } = new THREE.Spherical().setFromVector3(offset);
+    const [right, up] = [around, over].map((angle) => (angle * Math.PI) / 180);
+    this.turnTo(theta - right, Math.PI / 2 - phi + up);
   }
 
   changed() {
@@ -143,6 +187,26 @@ class Stage {
       this.pending = false;
       this.draw();
     });
+  }
+
+  /** Swings a step on, to both sides of the front as far as the surface allows. */
+  swing() {
+    const now = performance.now();
+    this.phase += Math.min(now - (this.swungAt ?? now), 100) / 1600;
+    this.swungAt = now;
+    const reach = 0.8 * this.solid.geometry.userData.limit;
+    this.turnTo(reach * Math.sin(this.phase), 0.25 * reach * Math.sin(2 * this.phase));
+  }
+
+  /** Turns by itself, or stops. */
+  setTurning(on) {
+    this.turning = on;
+    this.drawnAt = this.swungAt = undefined; // the time until now was no frame
+    const offset = this.camera.position.clone().sub(this.controls.target);
+    const { limit } = this.solid.geometry.userData;
+    const share = new THREE.Spherical().setFromVector3(offset).theta / (0.8 * limit);
+    this.phase = Math.asin(Math.min(Math.max(share, -1), 1)); // from where it is
+    this.changed();
   }
 
   /** Asks for the next frame, unless they take so long that nothing else gets done. */
@@ -161,7 +225,7 @@ class Stage {
     const [width, height] = this.size;
     const camera = this.mode === "surface" ? this.camera : this.flatCamera;
     if (this.mode === "surface") {
-      if (this.controls.autoRotate) this.controls.update();
+      if (this.turning) this.swing();
       this.camera.updateProjectionMatrix();
       this.camera.updateMatrixWorld();
       this.shared.turn.value.setFromMatrix4(this.camera.matrixWorldInverse);
@@ -180,27 +244,30 @@ class Stage {
     this.renderer.setScissorTest(true);
     this.renderer.setScissor(0, 0, width, height);
     this.renderer.clear();
-    for (const [material, from, to] of [[this.left, 0, edge], [this.right, edge, width]]) {
+    for (const [side, from, to] of [["left", 0, edge], ["right", edge, width]]) {
       if (to <= from) continue;
-      shown.material = material;
+      shown.material = this[side];
+      const tiles = this.mode === "picture" && this.tiles?.shown(side, this.layers[side]);
+      for (const [mesh, material] of tiles || []) Object.assign(mesh, { visible: true, material });
       this.renderer.setScissor(from, 0, to - from, height);
       this.renderer.render(this.scene, camera);
+      for (const [mesh] of tiles || []) mesh.visible = false;
     }
     this.onDrawn();
-    if (this.mode === "surface" && this.controls.autoRotate) this.goOnTurning();
+    if (this.mode === "surface" && this.turning) this.goOnTurning();
   }
 }
 
 const SLOW_MS = 300; // a frame
 const SLOW_FRAMES = 3;
 
-/** The picture's rectangle: a pixel is 1 x 1, the first row on top, at y = 0. */
-function flatGeometry() {
-  const { width, height } = data;
-  const corners = [[0, 0], [width, 0], [0, height], [width, height]];
+/** A part of the picture, by shares of its sides: a pixel is 1 x 1, the first row on
+ * top, at y = 0. */
+function rectangle([left, right], [top, bottom]) {
+  const corners = [[left, top], [right, top], [left, bottom], [right, bottom]];
   const geometry = new THREE.BufferGeometry();
-  const position = corners.flatMap(([x, y]) => [x, -y, 0]);
-  const uv = corners.flatMap(([x, y]) => [x / width, y / height]);
+  const position = corners.flatMap(([x, y]) => [x * data.width, -y * data.height, 0]);
+  const uv = corners.flat();
   geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(position), 3));
   geometry.setAttribute("uv", new THREE.BufferAttribute(new Float32Array(uv), 2));
   geometry.setIndex([0, 2, 3, 0, 3, 1]);

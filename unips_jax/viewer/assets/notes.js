@@ -1,0 +1,104 @@
+// What a reader adds: notes at places, views to come back to. Saved with the file.
+
+const MOST_LETTERS = 40; // of a note over the picture
+
+/** Lists of notes and views, and their fields in the settings. */
+class Notes {
+  /** `capture` gives what is shown as a view's state, `restore` shows one. */
+  constructor(stage, { capture, restore }) {
+    this.stage = stage;
+    this.capture = capture;
+    this.restore = restore;
+    this.notes = (kept.notes ?? []).map((note) => ({ ...note }));
+    this.views = (kept.views ?? []).map((view) => ({ ...view }));
+    this.unsaved = false;
+    byId("add-view").addEventListener("click", () => this.addView());
+    byId("notes-shown").addEventListener("input", () => stage.changed());
+    window.addEventListener("beforeunload", (event) => this.unsaved && event.preventDefault());
+  }
+
+  /** A note at a place of the picture; its field waits for the text. */
+  add(place) {
+    this.notes.push({ place: resultPlace(place), text: "" });
+    this.changed();
+    byId("notes-list").lastElementChild.querySelector("input").focus();
+  }
+
+  addView() {
+    this.views.push({ name: say("view_name", this.views.length + 1), state: this.capture() });
+    this.changed();
+  }
+
+  changed() {
+    this.unsaved = true;
+    this.fill();
+    this.stage.changed();
+  }
+
+  /** What the file keeps. */
+  get values() {
+    const { notes, views } = this;
+    return { scale: { mm: scale.mm, unit: data.depth?.unit ?? "pixels" }, notes, views };
+  }
+
+  /** Fills both lists. */
+  fill() {
+    byId("unsaved").hidden = !this.unsaved;
+    byId("no-notes").hidden = this.notes.length > 0;
+    byId("notes-shown").parentElement.hidden = this.notes.length === 0;
+    this.list(byId("notes-list"), this.notes, "text", (note) => this.goTo(note));
+    this.list(byId("views-list"), this.views, "name", (view) => this.restore(view.state));
+  }
+
+  list(element, items, field, show) {
+    const rows = items.map((item, index) => {
+      const row = document.createElement("li");
+      const go = button(field === "text" ? String(index + 1) : "▶", say("show_item", index + 1));
+      const input = document.createElement("input");
+      input.value = item[field];
+      input.placeholder = say(`${field}_hint`);
+      input.setAttribute("aria-label", say(`${field}_label`, index + 1));
+      const drop = button("×", say("drop_item", index + 1));
+      go.addEventListener("click", () => show(item));
+      drop.addEventListener("click", () => {
+        items.splice(items.indexOf(item), 1);
+        this.changed();
+      });
+      input.addEventListener("input", () => {
+        item[field] = input.value;
+        this.unsaved = true;
+        byId("unsaved").hidden = false;
+        this.stage.changed();
+      });
+      row.append(go, input, drop);
+      return row;
+    });
+    element.replaceChildren(...rows);
+  }
+
+  /** Brings a note to the middle of the picture. */
+  goTo(note) {
+    const place = picturePlace(note.place);
+    this.stage.moveBy(...place.map((value, axis) => value - this.stage.center[axis]));
+  }
+
+  /** The notes' places and texts, as parts of the overlay. */
+  parts() {
+    if (!byId("notes-shown").checked) return [];
+    return this.notes.flatMap(({ place, text }, index) => {
+      const at = picturePlace(place);
+      const screen = this.stage.mode === "picture" ? this.stage.screenAt(...at) : this.stage.solidAt(...at);
+      if (!screen) return [];
+      const [x, y] = screen;
+      const shown = text.length > MOST_LETTERS ? `${text.slice(0, MOST_LETTERS - 1)}…` : text;
+      const pin = `M${x} ${y}L${x - 6} ${y - 14}A7 7 0 1 1 ${x + 6} ${y - 14}Z`;
+      return [...marked("path", { d: pin }), label(x + 12, y - 12, `${index + 1}  ${shown}`)];
+    });
+  }
+}
+
+function button(text, name) {
+  const element = Object.assign(document.createElement("button"), { type: "button", textContent: text });
+  element.setAttribute("aria-label", name);
+  return element;
+}
