@@ -8,21 +8,19 @@ weights file. It takes sets of up to N images; flags tell which of the N count.
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array, export
 
-from unips_jax import ModelConfig, estimate_normals
+from unips_jax import UniversalNetwork, estimate_normals
 
 
-def exported(params: Any, *, config: ModelConfig, num_images: int, size: int) -> bytes:
+def exported(network: UniversalNetwork, *, num_images: int, size: int) -> bytes:
     """Serialises the estimator for images of one size.
 
     Args:
-        params: become part of the function.
-        config: the network's configuration.
+        network: becomes part of the function.
         num_images: N.
         size: side of the images in pixels.
 
@@ -32,7 +30,7 @@ def exported(params: Any, *, config: ModelConfig, num_images: int, size: int) ->
     """
 
     def estimate(images: Array, mask: Array, valid: Array) -> Array:
-        return estimate_normals(params, images, mask, config=config, valid=valid)
+        return estimate_normals(network, images, mask, valid=valid)
 
     function = export.export(jax.jit(estimate))(
         jax.ShapeDtypeStruct((num_images, size, size, 3), jnp.float32),
@@ -46,9 +44,8 @@ def main() -> None:
     """Writes the shipped network for up to eight images of 128 x 128 pixels."""
     from unips_jax import load_weights
 
-    config, params = load_weights("tiny")
     path = Path(sys.argv[1] if len(sys.argv) > 1 else "estimator.bin")
-    path.write_bytes(exported(params, config=config, num_images=8, size=128))
+    path.write_bytes(exported(load_weights("tiny"), num_images=8, size=128))
     print(f"wrote {path}, {path.stat().st_size} bytes")
 
 

@@ -18,9 +18,9 @@ import jax
 import numpy as np
 import optax
 
-from unips_jax import ModelConfig, load_weights
+from unips_jax import UniversalNetwork, load_weights
 from unips_jax.io.ps_wild import PSWildFolders, TrainingObject, read_object
-from unips_jax.training.loss import training_loss
+from unips_jax.training.loss import LossOptions, Objects, training_loss
 from unips_jax.weights import save_weights
 
 
@@ -57,54 +57,46 @@ def batches(
 
 
 def finetune(
-    params: Any,
+    network: UniversalNetwork,
     data: Iterator[dict[str, np.ndarray]],
     *,
-    config: ModelConfig,
     steps: int,
     learning_rate: float = 1e-4,
     num_pixels: int = 384,
-) -> tuple[Any, list[float]]:
-    """Trains the parameters further.
+) -> tuple[UniversalNetwork, list[float]]:
+    """Trains a network further.
 
     Args:
-        params: to begin with.
+        network: to begin with.
         data: batches.
-        config: the network's configuration.
         steps: how many batches to take.
         learning_rate: the highest; it falls to zero as a cosine.
         num_pixels: drawn from every object.
 
     Returns:
-        The parameters, and every step's mean angular error in degrees.
+        The network, and every step's mean angular error in degrees.
     """
+    options = LossOptions(
+        num_pixels=num_pixels, frame="mask", grid_loss=False, squared_loss=False
+    )
     optimizer = optax.adamw(optax.cosine_decay_schedule(learning_rate, steps))
 
     @jax.jit
-    def step(params: Any, state: Any, batch: Any, key: jax.Array) -> Any:
-        def loss_of(params: Any) -> Any:
-            keys = jax.random.split(key, batch["images"].shape[0])
-            return training_loss(
-                params,
-                *(batch["images"], batch["mask"], batch["normals"]),
-                keys,
-                config=config,
-                num_pixels=num_pixels,
-                frame="mask",
-                grid_loss=False,
-                squared_loss=False,
-            )
+    def step(network: Any, state: Any, batch: Any, key: jax.Array) -> Any:
+        objects = Objects(**batch)
+        keys = jax.random.split(key, len(objects.images))
+        (_, metrics), gradient = jax.value_and_grad(training_loss, has_aux=True)(
+            network, objects, keys, options
+        )
+        updates, state = optimizer.update(gradient, state, network)
+        return optax.apply_updates(network, updates), state, metrics["mae_deg"]
 
-        (_, metrics), gradient = jax.value_and_grad(loss_of, has_aux=True)(params)
-        updates, state = optimizer.update(gradient, state, params)
-        return optax.apply_updates(params, updates), state, metrics["mae_deg"]
-
-    state, errors = optimizer.init(params), []
+    state, errors = optimizer.init(network), []
     for number in range(steps):
         key = jax.random.fold_in(jax.random.key(0), number)
-        params, state, error = step(params, state, next(data), key)
+        network, state, error = step(network, state, next(data), key)
         errors.append(float(error))
-    return params, errors
+    return network, errors
 
 
 def main() -> None:
@@ -114,11 +106,10 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--steps", type=int, default=100)
     arguments = parser.parse_args()
-    config, params = load_weights("tiny")
     data = batches(arguments.root, size=128, batch_size=2, num_images=8)
-    params, errors = finetune(params, data, config=config, steps=arguments.steps)
+    network, errors = finetune(load_weights("tiny"), data, steps=arguments.steps)
     print(f"mean angular error {errors[0]:.2f} -> {np.mean(errors[-5:]):.2f} degrees")
-    save_weights(arguments.output, config, params)
+    save_weights(arguments.output, network)
 
 
 if __name__ == "__main__":

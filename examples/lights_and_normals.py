@@ -89,9 +89,8 @@ def main() -> None:
     from unips_jax import angular_error_deg, estimate_normals, load_weights
 
     images, mask, truth, lights = sphere()
-    config, params = load_weights("tiny")
     colours = jnp.repeat(images[..., None], 3, axis=-1)
-    estimate = estimate_normals(params, colours, mask, config=config)
+    estimate = estimate_normals(load_weights("tiny"), colours, mask)
     found, _, normals, losses = explain(images, mask, estimate)
     before, after = (
         angular_error_deg(n, truth)[mask].mean() for n in (estimate, normals)

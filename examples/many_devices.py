@@ -6,7 +6,6 @@ Each device estimates its own objects one after the other, with the same paramet
 """
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,19 +13,18 @@ from jax import Array
 from jax.sharding import AxisType, Mesh
 from jax.sharding import PartitionSpec as P
 
-from unips_jax import ModelConfig, estimate_normals
+from unips_jax import UniversalNetwork, estimate_normals
 
 
 def estimate_objects(
-    params: Any, images: Array, masks: Array, *, config: ModelConfig, mesh: Mesh
+    network: UniversalNetwork, images: Array, masks: Array, *, mesh: Mesh
 ) -> Array:
     """Normals of many objects.
 
     Args:
-        params: the network's parameters.
+        network: the same for all.
         images: `[B, N, H, W, 3]`; B is a multiple of the number of devices.
         masks: `[B, H, W]`.
-        config: the network's configuration.
         mesh: of devices, with one axis, "objects".
 
     Returns:
@@ -40,11 +38,11 @@ def estimate_objects(
         in_specs=(P(), P("objects"), P("objects")),
         out_specs=P("objects"),
     )
-    def run(params: Any, images: Array, masks: Array) -> Array:
-        one = functools.partial(estimate_normals, params, config=config)
+    def run(network: UniversalNetwork, images: Array, masks: Array) -> Array:
+        one = functools.partial(estimate_normals, network)
         return jax.lax.map(lambda pair: one(*pair), (images, masks))
 
-    return run(params, images, masks)
+    return run(network, images, masks)
 
 
 def all_devices() -> Mesh:
@@ -58,10 +56,10 @@ def main() -> None:
     """Sixteen objects of noise."""
     from unips_jax import load_weights
 
-    config, params = load_weights("tiny")
+    network = load_weights("tiny")
     images = jax.random.uniform(jax.random.key(0), (16, 3, 64, 64, 3))
     masks = jnp.ones((16, 64, 64), bool)
-    normals = estimate_objects(params, images, masks, config=config, mesh=all_devices())
+    normals = estimate_objects(network, images, masks, mesh=all_devices())
     print(f"{normals.shape} on {len(normals.sharding.device_set)} devices")
 
 

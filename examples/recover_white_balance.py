@@ -13,27 +13,25 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from unips_jax import ModelConfig, angular_error_deg, estimate_normals
+from unips_jax import UniversalNetwork, angular_error_deg, estimate_normals
 
 
 def recover_gains(
-    params: dict,
+    network: UniversalNetwork,
     images: Array,
     mask: Array,
     normals: Array,
     *,
-    config: ModelConfig,
     steps: int = 150,
     learning_rate: float = 0.02,
 ) -> tuple[Array, Array]:
     """Finds the gains under which the estimate fits known normals.
 
     Args:
-        params: the network's parameters.
+        network: what estimates.
         images: `[N, H, W, 3]`, true photographs times unknown gains.
         mask: `[H, W]`.
         normals: `[H, W, 3]`, known.
-        config: the network's configuration.
         steps: of gradient descent (Adam).
         learning_rate: in logarithms of gains.
 
@@ -44,7 +42,7 @@ def recover_gains(
 
     def loss_of(log_gains: Array) -> Array:
         balanced = images / jnp.exp(log_gains)[:, None, None, :]
-        estimated = estimate_normals(params, balanced, mask, config=config)
+        estimated = estimate_normals(network, balanced, mask)
         distance = jnp.sum(jnp.square(estimated - normals), axis=-1)
         return jnp.sum(jnp.where(mask, distance, 0)) / jnp.sum(mask)
 
@@ -66,7 +64,7 @@ def main() -> None:
     """Spoils the colours of a synthetic sphere's photographs and finds them again."""
     from unips_jax import load_weights
 
-    config, params = load_weights("tiny")
+    network = load_weights("tiny")
     y, x = jnp.mgrid[1:-1:48j, -1:1:48j]
     mask = x**2 + y**2 < 0.95
     z = jnp.sqrt(jnp.maximum(1 - x**2 - y**2, 0))
@@ -75,12 +73,12 @@ def main() -> None:
     shading = jnp.maximum(jnp.einsum("hwk,nk->nhw", normals, lights), 0)
     images = shading[..., None] * jnp.array([0.8, 0.6, 0.4])
 
-    target = estimate_normals(params, images, mask, config=config)
+    target = estimate_normals(network, images, mask)
     gains = jnp.exp(0.1 * jax.random.normal(jax.random.key(1), (6, 3)))
     gains = gains / jnp.prod(gains, axis=1, keepdims=True) ** (1 / 3)
     spoiled = images * gains[:, None, None, :]
-    before = estimate_normals(params, spoiled, mask, config=config)
-    found, losses = recover_gains(params, spoiled, mask, target, config=config)
+    before = estimate_normals(network, spoiled, mask)
+    found, losses = recover_gains(network, spoiled, mask, target)
     error = jnp.abs(jnp.log(found / gains)).mean()
     print(f"normals moved by {angular_error_deg(before, target)[mask].mean():.2f} deg")
     print(f"loss {losses[0]:.5f} -> {losses[-1]:.5f}")

@@ -39,22 +39,24 @@ def network_calls(monkeypatch):
     from unips_jax import weights
     from unips_jax.estimation import streaming
     from unips_jax.models.config import ModelConfig
+    from unips_jax.models.network import UniversalNetwork
 
     calls = []
 
-    def stand_in(params, images, mask, *, progress=None, **options):
+    def stand_in(network, images, mask, *, progress=None, **options):
         calls.append({"images": images, "mask": mask, **options})
         if progress is not None:
             progress(1, 1)
         y, x = np.mgrid[: mask.shape[0], : mask.shape[1]].astype(np.float32)
         normals = np.stack([x / x.max() - 0.5, 0.5 - y / y.max(), y * 0 + 1], axis=-1)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        return normals * mask[..., None]
+        return streaming.NormalsAndLights(normals * mask[..., None], None)
 
     def load(name):
-        return ModelConfig.tiny(), {"a": {"kernel": np.arange(6, dtype=np.float32)}}
+        params = {"a": {"kernel": np.arange(6, dtype=np.float32)}}
+        return UniversalNetwork(ModelConfig.tiny(), params)
 
-    monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
+    monkeypatch.setattr(streaming, "estimate_with_lights", stand_in)
     monkeypatch.setattr(weights, "load_weights", load)
     return calls
 

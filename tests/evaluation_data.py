@@ -10,7 +10,7 @@ import numpy as np
 from scipy.io import savemat
 
 from unips_jax.models.config import UniPSConfig
-from unips_jax.models.network import init_params
+from unips_jax.models.network import UniversalNetwork, init_params
 from unips_jax.weights import save_weights
 
 
@@ -282,5 +282,5 @@ def small_weights(path, seed=0):
     params = jax.tree.map(
         lambda leaf: 0.3 * rng.standard_normal(leaf.shape, np.float32), shapes
     )
-    save_weights(path, config, params)
+    save_weights(path, UniversalNetwork(config, params))
     return path

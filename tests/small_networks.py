@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from unips_jax.models.config import SelfCalibratingConfig, UniPSConfig
-from unips_jax.models.network import init_params
+from unips_jax.models.network import UniversalNetwork, init_params
 
 _SIZES = dict(
     canonical_size=16,
@@ -37,6 +37,10 @@ SMALL_OURS = SelfCalibratingConfig(
 
 def lively_weights(config=SMALL):
     return lively(partial(init_params, config))
+
+
+def lively_network(config=SMALL):
+    return UniversalNetwork(config, lively_weights(config))
 
 
 def lively(init, *arguments):

@@ -150,8 +150,9 @@ def _make(root, files):
             path.write_bytes(data)
 
 
-def _stand_in(params, images, mask, **options):
-    return np.float32([0, 0, 1]) * np.asarray(mask)[..., None]
+def _stand_in(network, images, mask, **options):
+    normals = np.float32([0, 0, 1]) * np.asarray(mask)[..., None]
+    return streaming.NormalsAndLights(normals, None)
 
 
 class _Reached(Exception):
@@ -174,7 +175,7 @@ def no_work():
         patched.setattr(evaluation, "_evaluate", _reached)
         patched.setattr(surface, "write_surface", _reached)
         patched.setattr(validate, "_validate_real", _reached)
-        patched.setattr(streaming, "estimate_photographs", _stand_in)
+        patched.setattr(streaming, "estimate_with_lights", _stand_in)
         patched.setattr(writing, "write_sheet", lambda file, *_, **__: None)
         patched.setattr(scene_folders, "render_folders", _reached)
         patched.setattr(scene_folders, "render_sheet", _reached)

@@ -80,16 +80,16 @@ def encoder_operations(config: ModelConfig, images: int) -> float:
 
     As the compiler counts them; padded windows count as what they are.
     """
-    from unips_jax.models.network import Network
+    from unips_jax.models.network import EncoderDecoder
 
     size = config.canonical_size
     inputs = jax.ShapeDtypeStruct((images, size, size, 4), jnp.float32)
-    params = jax.eval_shape(functools.partial(random_weights, config))
+    network = jax.eval_shape(functools.partial(random_weights, config))
 
     def run(params: Any, inputs: jax.Array) -> Any:
-        return Network(config).apply({"params": params}, inputs, method="encode")
+        return EncoderDecoder(config).apply({"params": params}, inputs, method="encode")
 
-    cost = jax.jit(run).lower(params, inputs).cost_analysis()
+    cost = jax.jit(run).lower(network.params, inputs).cost_analysis()
     return float(cost["flops"]) if cost else float("nan")
 
 
@@ -164,16 +164,16 @@ def estimation_benchmark(
     config: ModelConfig, images: int, size: int, repeats: int
 ) -> dict:
     """Encoder alone, end to end, and what the first call adds to compile or to load."""
-    params = jax.block_until_ready(random_weights(config))
+    network = jax.block_until_ready(random_weights(config))
     return_freed_memory()  # who estimates loads weights: drawing them does not count
     forget_peak_memory()
     stack, mask = map(jnp.asarray, disc(images, size))
     views = 1 + config.mirror
     decoder = views * decoder_operations(config) * images * int(mask.sum())
     encoder = views * encoder_operations(config, images)
-    run = functools.partial(estimate_normals, params, stack, mask, config=config)
+    run = functools.partial(estimate_normals, network, stack, mask)
     nothing = jnp.zeros_like(mask)  # no pixel to decode: the same program's encoder
-    empty = functools.partial(estimate_normals, params, stack, nothing, config=config)
+    empty = functools.partial(estimate_normals, network, stack, nothing)
     first = median_seconds(empty, 1)
     before = matrix_rate(config)
     encoder_seconds = median_seconds(empty, repeats)

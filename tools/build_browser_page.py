@@ -131,7 +131,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--weights", default="tiny", help="shipped name or file (tiny)")
     arguments = parser.parse_args(argv)
     check_target(arguments.output, SOURCE, record="index.html")
-    config, params = load_weights(arguments.weights)
+    network = load_weights(arguments.weights)
     archives = {
         package: fetch(f"{package.name}@{package.version}", package.sha512)
         for package in PACKAGES
@@ -146,8 +146,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         )
         write_export(
             place / "network",
-            config,
-            params,
+            network,
             format="onnx",
             name=Path(arguments.weights).stem,
             half=True,

@@ -91,17 +91,17 @@ def main(argv: Sequence[str] | None = None) -> None:
         raise InputError(f"-o {arguments.output}: expected a name in .safetensors")
     if arguments.checkpoint.is_file():
         arrays = read_state_dict(arguments.checkpoint)
-        network = gcnet_weights.identify(arrays)
-        params = gcnet_weights.from_official(arrays, network)
-        gcnet_weights.save_params(arguments.output, params, network)
-        method = f"{network.replace('_', '-')}:weights={arguments.output}"
-        if network != "ps_fcn":  # it finds lights; least squares find the normals
+        kind = gcnet_weights.identify(arrays)
+        params = gcnet_weights.from_official(arrays, kind)
+        gcnet_weights.save_params(arguments.output, params, kind)
+        method = f"{kind.replace('_', '-')}:weights={arguments.output}"
+        if kind != "ps_fcn":  # it finds lights; least squares find the normals
             method += ",normals=woodham"
         print(f"{arguments.output}: use it with --method {method}")
         return
-    config, params = from_official(read_checkpoint(arguments.checkpoint))
+    network = from_official(read_checkpoint(arguments.checkpoint))
     record = {"source": "the authors' checkpoint, converted"}
-    save_weights(arguments.output, config, params, record=record)
+    save_weights(arguments.output, network, record=record)
     print(f"{arguments.output}: use it with --weights {arguments.output}")
 
 

@@ -22,11 +22,10 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 
 from unips_jax import estimate_normals
 from unips_jax.console import command
-from unips_jax.estimation.frame import canonical_images, normalize_images, square_frame
-from unips_jax.estimation.pure import encode
 from unips_jax.models.config import UniPSConfig
-from unips_jax.models.network import init_params
-from unips_jax.training.loss import training_loss
+from unips_jax.models.network import UniversalNetwork, encode, init_params
+from unips_jax.models.views import make_views, normalize_images
+from unips_jax.training.loss import LossOptions, Objects, training_loss
 
 CONFIGS = {
     attention: UniPSConfig(
@@ -77,7 +76,7 @@ def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
         else:
             value = value / math.sqrt(math.prod(shape.shape[:-1]))
         flat[name] = value
-    params = unflatten_dict(flat, sep="/")
+    network = UniversalNetwork(config, unflatten_dict(flat, sep="/"))
 
     images = np.abs(draw("images", (3, 18, 24, 3)))
     mask = draw("mask", (18, 24)) > -1
@@ -85,37 +84,30 @@ def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
 
     @jax.jit
-    def contexts(params):
-        frame = square_frame(mask)
-        normalised = normalize_images(jnp.asarray(images), jnp.asarray(mask))
-        inputs = canonical_images(
-            normalised, jnp.asarray(mask), frame, config.canonical_size
-        )
-        return encode(params, inputs, config=config)
+    def contexts(network):
+        inside = jnp.asarray(mask)
+        views = make_views(normalize_images(images, inside), inside, config)
+        return encode(network, views).contexts[0]
 
     @jax.jit
-    def loss(params):
-        return jax.value_and_grad(
-            lambda params: training_loss(
-                params,
-                jnp.asarray(images)[None],
-                jnp.asarray(mask)[None],
-                jnp.asarray(normals)[None],
-                jax.random.split(jax.random.key(0), 1),
-                config=config,
-                num_pixels=mask.size,
-                deterministic=True,
-            )[0]
-        )(params)
+    def loss(network):
+        objects = Objects(*(jnp.asarray(x)[None] for x in (images, mask, normals)))
+        keys = jax.random.split(jax.random.key(0), 1)
+        options = LossOptions(num_pixels=mask.size)
 
-    value, gradients = loss(params)
+        def of(network):
+            return training_loss(network, objects, keys, options, deterministic=True)[0]
+
+        return jax.value_and_grad(of)(network)
+
+    value, gradients = loss(network)
     norms = {
         f"gradient/{name}": np.linalg.norm(gradient)
-        for name, gradient in flatten_dict(gradients, sep="/").items()
+        for name, gradient in flatten_dict(gradients.params, sep="/").items()
     }
     arrays = {
-        "contexts": contexts(params),
-        "normals": estimate_normals(params, images, mask, config=config),
+        "contexts": contexts(network),
+        "normals": estimate_normals(network, images, mask),
         "loss": value,
     }
     return {name: np.asarray(x, np.float32) for name, x in (arrays | norms).items()}

@@ -37,7 +37,7 @@ import tyro
 
 import unips_jax
 from unips_jax.estimation.confidence import normal_spread
-from unips_jax.estimation.lights import guess_lights
+from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.evaluation.benchmarks.base import Item
 from unips_jax.evaluation.benchmarks.diligent import Diligent
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest
@@ -119,17 +119,16 @@ class Errors(NamedTuple):
 def main() -> None:
     """Measures and prints."""
     options = tyro.cli(Options, description=__doc__)
-    config, params = unips_jax.load_weights(options.weights)
+    network = unips_jax.load_weights(options.weights)
     found: dict[str, dict[str, list[Any]]] = {}
     for case in _cases(options):
-        known = (params, case.images, case.mask)
-        normals = unips_jax.estimate_photographs(*known, config=config)
+        known = (network, case.images, case.mask)
+        normals, guesses = estimate_with_lights(*known)
         if options.confidence:
-            spread = normal_spread(*known, normals, config=config)[case.inside]
+            spread = normal_spread(*known, normals)[case.inside]
             error = _angles(normals, case.normals)[case.inside]
             scores: Any = Errors(spread, error)
         else:
-            guesses = guess_lights(*known, config=config)
             scores = {**_lights(case, normals, guesses), **_depths(case, normals)}
             print(case.source, case.kind, scores, file=sys.stderr, flush=True)
         kinds = found.setdefault(case.source, {})

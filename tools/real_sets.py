@@ -209,10 +209,8 @@ def unips(source: str) -> Estimate:
     from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.weights import load_weights
 
-    config, params = load_weights(source)
-    return lambda images, mask: estimate_photographs(
-        params, images, mask, config=config
-    )
+    network = load_weights(source)
+    return lambda images, mask: estimate_photographs(network, images, mask)
 
 
 def real_cases(

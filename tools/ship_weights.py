@@ -28,8 +28,8 @@ from unips_jax.scenes import SceneConfig
 from unips_jax.training.validation import validate
 from unips_jax.weights import (
     load_weights,
-    params_hash,
     save_weights,
+    weights_hash,
     weights_path,
     weights_record,
 )
@@ -37,12 +37,11 @@ from unips_jax.weights import (
 
 def scores_of(weights: str, scenes: int, images: Sequence[int]) -> dict[str, float]:
     """Mean angular errors in degrees, by the number of images, and the constant's."""
-    model, params = load_weights(weights)
+    network = load_weights(weights)
     scores: dict[str, float] = {}
     for count in images:
         found = validate(
-            params,
-            model,
+            network,
             SceneConfig(),
             count=scenes,
             num_images=count,
@@ -83,21 +82,21 @@ def main(argv: Sequence[str] | None = None) -> None:
     images = sorted(arguments.images)
     with tempfile.TemporaryDirectory() as folder:
         halved = str(Path(folder) / "new.safetensors")
-        model, params = load_weights(arguments.weights)
+        network = load_weights(arguments.weights)
         if arguments.average:
-            shipped, others = load_weights(str(target))
-            if shipped != model:
+            shipped = load_weights(str(target))
+            if shipped.config != network.config:
                 raise InputError(
-                    f"--average: expected two networks alike, got {model} in "
-                    f"{arguments.weights} and {shipped} in {target}; train with "
+                    f"--average: expected two networks alike, got {network.config} in "
+                    f"{arguments.weights} and {shipped.config} in {target}; train with "
                     f"--init-weights {arguments.over} or leave --average out"
                 )
-            params = jax.tree.map(lambda a, b: (a + b) / 2, params, others)
-        save_weights(halved, model, params, half=True)
+            network = jax.tree.map(lambda a, b: (a + b) / 2, network, shipped)
+        save_weights(halved, network, half=True)
         before, after = (
             scores_of(file, arguments.scenes, images) for file in (str(target), halved)
         )
-        model, params = load_weights(halved)
+        network = load_weights(halved)
     print(f"before: {before}\nafter:  {after}")
     if after[str(images[-1])] >= before[str(images[-1])]:
         print(f"kept {target}: the others are not better with {images[-1]} images")
@@ -110,9 +109,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         "scores": {"held_out_scenes": arguments.scenes, "mae_deg": after},
     }
     make_folder(arguments.output, "--output")
-    digest = params_hash(model, params)[:8]
+    digest = weights_hash(network)[:8]
     file = arguments.output / f"{target.stem}-{digest}.safetensors"
-    save_weights(file, model, params, record=record, half=True)
+    save_weights(file, network, record=record, half=True)
     print(
         f"wrote {file}, hash {digest}: attach it to a release, as\n"
         f"    gh release upload TAG {file}\n"

@@ -24,8 +24,8 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from unips_jax.console import command
 from unips_jax.errors import InputError
 from unips_jax.models.config import ModelConfig
-from unips_jax.models.network import param_shapes
-from unips_jax.weights import Params, load_weights, save_weights, weights_record
+from unips_jax.models.network import Params, UniversalNetwork, param_shapes
+from unips_jax.weights import load_weights, save_weights, weights_record
 
 # How much the rows of two equal channels differ, in standard deviations of the kernel.
 _SPREAD = 0.5
@@ -147,9 +147,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
-    config, params = load_weights(arguments.weights)
-    target = ModelConfig.small()
-    wide = widen(params, config.context_dim, target.window_size, arguments.seed)
+    narrow, target = load_weights(arguments.weights), ModelConfig.small()
+    width = narrow.config.context_dim
+    wide = widen(narrow.params, width, target.window_size, arguments.seed)
     shapes = {name: x.shape for name, x in flatten_dict(wide, sep=".").items()}
     if shapes != param_shapes(target):
         raise InputError(
@@ -157,7 +157,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             "tiny"
         )
     record = {"widened": weights_record(arguments.weights)["hash"]}
-    save_weights(arguments.output, target, wide, record=record)
+    save_weights(arguments.output, UniversalNetwork(target, wide), record=record)
     print(f"wrote {arguments.output}")
 
 

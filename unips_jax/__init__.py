@@ -4,11 +4,9 @@ Normals from photographs of one object under arbitrary, unknown, changing light:
 "Universal Photometric Stereo Network using Global Lighting Contexts" (Ikehata,
 CVPR 2022).
 
-    config, params = unips_jax.load_weights("tiny")
+    network = unips_jax.load_weights("tiny")
     images, mask, transfer = unips_jax.read_photographs("photographs/")
-    normals = unips_jax.estimate_photographs(
-        params, images, mask, transfer=transfer, config=config
-    )
+    normals = unips_jax.estimate_photographs(network, images, mask, transfer=transfer)
 
 Conventions everywhere: arrays are channels-last, row 0 is the top of the image;
 normals are unit vectors in the camera frame, x right, y up, z towards the viewer, and
@@ -24,16 +22,14 @@ from typing import TYPE_CHECKING, Any
 from unips_jax.version import __version__
 
 if TYPE_CHECKING:
-    from unips_jax.estimation.pure import estimate_maps, estimate_normals
-    from unips_jax.estimation.streaming import (
-        estimate_photograph_maps,
-        estimate_photographs,
-    )
+    from unips_jax.estimation.pure import estimate_normals
+    from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.io.photographs import read_photographs
     from unips_jax.lighting.lights import estimate_lights
     from unips_jax.lighting.relight import DistantLights, Materials, relight
     from unips_jax.metrics import angular_error_deg
     from unips_jax.models.config import ModelConfig
+    from unips_jax.models.network import UniversalNetwork
     from unips_jax.scenes.render import render_scene
     from unips_jax.surface.images import integrate_image
     from unips_jax.surface.integrate import integrate_normals
@@ -43,12 +39,11 @@ __all__ = [
     "DistantLights",
     "Materials",
     "ModelConfig",
+    "UniversalNetwork",
     "__version__",
     "angular_error_deg",
-    "estimate_maps",
     "estimate_lights",
     "estimate_normals",
-    "estimate_photograph_maps",
     "estimate_photographs",
     "integrate_image",
     "integrate_normals",
@@ -62,11 +57,10 @@ _MODULES = {
     "DistantLights": "lighting.relight",
     "Materials": "lighting.relight",
     "ModelConfig": "models.config",
+    "UniversalNetwork": "models.network",
     "angular_error_deg": "metrics",
-    "estimate_maps": "estimation.pure",
     "estimate_lights": "lighting.lights",
     "estimate_normals": "estimation.pure",
-    "estimate_photograph_maps": "estimation.streaming",
     "estimate_photographs": "estimation.streaming",
     "integrate_image": "surface.images",
     "integrate_normals": "surface.integrate",

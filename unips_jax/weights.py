@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from safetensors import SafetensorError, safe_open
@@ -26,22 +25,25 @@ from unips_jax.errors import InputError
 from unips_jax.io.claims import write_whole
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import from_json, to_json
-from unips_jax.models.network import init_params, param_shapes, raise_misfits
-
-Params = dict[str, Any]
+from unips_jax.models.network import (
+    UniversalNetwork,
+    init_params,
+    param_shapes,
+    raise_misfits,
+)
 
 _ASSETS = Path(str(importlib.resources.files("unips_jax"))) / "assets"
 SHIPPED = ("tiny",)
 
 
-def load_weights(source: str | os.PathLike[str]) -> tuple[ModelConfig, Params]:
+def load_weights(source: str | os.PathLike[str]) -> UniversalNetwork:
     """Reads released weights.
 
     Args:
         source: the name of shipped weights, such as "tiny", or a safetensors file.
 
     Returns:
-        The network's configuration and its parameters, float32.
+        The network; its parameters are float32, on the default device.
 
     Raises:
         InputError: if there are none of that name, or the file is not of this kind or
@@ -52,7 +54,9 @@ def load_weights(source: str | os.PathLike[str]) -> tuple[ModelConfig, Params]:
         with safe_open(path, framework="np") as file:
             metadata = file.metadata() or {}
             config = _read_config(path, metadata)
-            _check_parameters(path, config, file)
+            # The shipped ones are known to fit; laying a network out takes seconds.
+            if str(source) not in SHIPPED:
+                _check_parameters(path, config, file)
             arrays = {
                 name: np.asarray(file.get_tensor(name), np.float32)
                 for name in file.keys()  # noqa: SIM118
@@ -70,8 +74,8 @@ def load_weights(source: str | os.PathLike[str]) -> tuple[ModelConfig, Params]:
                 f"{path}: {name}: expected finite parameters, got NaN or infinity; "
                 "take weights of an earlier step"
             )
-    params = {name: jnp.asarray(array) for name, array in arrays.items()}
-    return config, unflatten_dict(params, sep=".")
+    # Not `jnp.asarray`: it compiles a program for every shape.
+    return UniversalNetwork(config, unflatten_dict(jax.device_put(arrays), sep="."))
 
 
 def _read_config(path: Path, metadata: Mapping[str, str]) -> ModelConfig:
@@ -126,17 +130,17 @@ def weights_path(source: str | os.PathLike[str]) -> Path:
 
 
 def weights_record(source: str | os.PathLike[str]) -> dict[str, Any]:
-    """How weights were made: training record and score, with their `params_hash`.
+    """How weights were made: training record and score, with their `weights_hash`.
 
     Raises:
         InputError: as `load_weights`, or if there is no such record.
     """
     path = weights_path(source)
-    weights_hash = params_hash(*load_weights(path))
+    digest = weights_hash(load_weights(path))
     with safe_open(path, framework="np") as file:
         text = file.metadata().get("record", "{}")
     try:
-        return {**json.loads(text), "hash": weights_hash}
+        return {**json.loads(text), "hash": digest}
     except (TypeError, ValueError, RecursionError):
         raise InputError(
             f"{path}: expected a JSON object in the metadata's 'record', got "
@@ -146,8 +150,7 @@ def weights_record(source: str | os.PathLike[str]) -> dict[str, Any]:
 
 def save_weights(
     path: str | os.PathLike[str],
-    config: ModelConfig,
-    params: Params,
+    network: UniversalNetwork,
     *,
     record: Mapping[str, Any] | None = None,
     half: bool = False,
@@ -156,8 +159,7 @@ def save_weights(
 
     Args:
         path: a .safetensors file.
-        config: the network's configuration.
-        params: its parameters.
+        network: configuration and parameters.
         record: how they were made, anything JSON can hold.
         half: store float16.
 
@@ -167,9 +169,9 @@ def save_weights(
     dtype = np.float16 if half else np.float32
     arrays = {
         name: np.ascontiguousarray(array, dtype)
-        for name, array in flatten_dict(params, sep=".").items()
+        for name, array in flatten_dict(network.params, sep=".").items()
     }
-    text = to_json(config)
+    text = to_json(network.config)
     metadata = {
         "config": text,
         "hash": _hash(text, arrays),
@@ -187,14 +189,9 @@ def _in_order(data: bytes) -> bytes:
     return len(text).to_bytes(8, "little") + text + data[start:]
 
 
-def params_hash(config: ModelConfig, params: Params) -> str:
-    """A hash of a network's configuration and parameters.
-
-    Args:
-        config: the network's.
-        params: its parameters.
-    """
-    return _hash(to_json(config), flatten_dict(params, sep="."))
+def weights_hash(network: UniversalNetwork) -> str:
+    """A hash of a network's configuration and parameters."""
+    return _hash(to_json(network.config), flatten_dict(network.params, sep="."))
 
 
 def _hash(config: str, arrays: Mapping[str, Any]) -> str:
@@ -207,9 +204,10 @@ def _hash(config: str, arrays: Mapping[str, Any]) -> str:
     return digest.hexdigest()
 
 
-def random_weights(config: ModelConfig, *, seed: int = 0) -> Params:
-    """Untrained parameters, as training starts from."""
-    return jax.jit(functools.partial(init_params, config))(jax.random.key(seed))
+def random_weights(config: ModelConfig, *, seed: int = 0) -> UniversalNetwork:
+    """An untrained network, as training starts from."""
+    initial = jax.jit(functools.partial(init_params, config))
+    return UniversalNetwork(config, initial(jax.random.key(seed)))
 
 
 def _not_readable(path: Path, error: Exception) -> InputError:

@@ -108,11 +108,12 @@ def test_gives_the_network_what_estimate_does(tmp_path, monkeypatch, dtype):
     """To the bit, from a folder with an example of all that readers differ in."""
     given = []
 
-    def stand_in(params, images, mask, *, config, transfer="linear", **options):
+    def stand_in(network, images, mask, *, transfer="linear", **options):
         given.append((as_linear(images, transfer), mask))
-        return mask[..., None] * np.float32([0, 0, 1])
+        normals = mask[..., None] * np.float32([0, 0, 1])
+        return streaming.NormalsAndLights(normals, None)
 
-    monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
+    monkeypatch.setattr(streaming, "estimate_with_lights", stand_in)
     monkeypatch.setattr(writing, "write_sheet", lambda *args, **options: None)
     folder, size = tmp_path / "photographs" / "shoe", (HEIGHT, WIDTH)
     inside, normals = data.sphere(*size)

@@ -259,8 +259,8 @@ def test_what_a_row_must_tell_is_in_its_label(tmp_path):
 
 
 def test_unips_variants_get_their_own_settings(tmp_path, monkeypatch):
-    def estimate(params, images, mask, *, config, uniform_contexts):
-        return config.canonical_size, uniform_contexts
+    def estimate(network, images, mask, *, uniform_contexts):
+        return network.config.canonical_size, uniform_contexts
 
     monkeypatch.setattr(streaming, "estimate_photographs", estimate)
     weights = data.small_weights(tmp_path / "a.safetensors")

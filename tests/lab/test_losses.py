@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL, lively_weights
+from small_networks import SMALL, lively_network, lively_weights
 
+from unips_jax.models.network import UniversalNetwork
 from unips_jax.training import loss as losses
 from unips_jax.training.chunked_sum import chunked_sum
 
@@ -49,16 +50,14 @@ def test_pieces_change_no_gradient(monkeypatch):
     normals = rng.normal(size=(2, 16, 16, 3))
     normals = jnp.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
+    objects = losses.Objects(images, mask, normals.astype(jnp.float32))
+
     def loss(params, remat, squared_loss=True):
         return losses.training_loss(
-            params,
-            images,
-            mask,
-            normals.astype(jnp.float32),
+            UniversalNetwork(dataclasses.replace(ONE_STAGE, remat=remat), params),
+            objects,
             jax.random.split(jax.random.key(1), 2),
-            config=dataclasses.replace(ONE_STAGE, remat=remat),
-            num_pixels=50,
-            squared_loss=squared_loss,
+            losses.LossOptions(num_pixels=50, squared_loss=squared_loss),
         )
 
     def gradient(remat):
@@ -106,15 +105,10 @@ def test_the_frame_is_cropped_from_the_image(grid_loss):
     @functools.partial(jax.jit, static_argnames="frame")
     def loss(images, mask, normals, frame):
         return losses.training_loss(
-            lively_weights(ONE_STAGE),
-            images,
-            mask,
-            normals,
+            lively_network(ONE_STAGE),
+            losses.Objects(images, mask, normals),
             jax.random.split(jax.random.key(1), 1),
-            config=ONE_STAGE,
-            num_pixels=1000,
-            frame=frame,
-            grid_loss=grid_loss,
+            losses.LossOptions(num_pixels=1000, frame=frame, grid_loss=grid_loss),
         )[0]
 
     square = images, mask, normals

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 from reference_arrays import made_up, official_arrays
-from small_networks import SMALL, SMALL_OURS, lively_weights
+from small_networks import SMALL, SMALL_OURS, lively_network, lively_weights
 
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
-from unips_jax.models.network import Network, param_shapes
+from unips_jax.models.network import EncoderDecoder, param_shapes
 from unips_jax.weights import load_weights, random_weights, save_weights, weights_record
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
@@ -40,9 +40,9 @@ def test_unips(convert, tmp_path, prefix):
         torch.save(states[part], tmp_path / f"nml_{suffix}.pytmodel")
     output = tmp_path / "unips_official.safetensors"
     assert convert([str(tmp_path), "-o", str(output)]) == 0
-    config, params = load_weights(output)
-    assert config.attention == "released"
-    kernel = params["decoder"]["prediction"]["fc2"]["kernel"]
+    network = load_weights(output)
+    assert network.config.attention == "released"
+    kernel = network.params["decoder"]["prediction"]["fc2"]["kernel"]
     source = states["prediction"][f"{prefix}regression.2.weight"].numpy()
     np.testing.assert_array_equal(kernel, source.T)
 
@@ -102,7 +102,7 @@ def test_benchmark_refuses_what_it_would_ignore(capsys):
 )
 def test_benchmark_counts_every_layer_of_the_decoder(config):
     count = runpy.run_path(str(TOOLS / "benchmark.py"))["decoder_operations"]
-    shapes = jax.eval_shape(lambda: random_weights(config))["decoder"]
+    shapes = jax.eval_shape(lambda: random_weights(config)).params["decoder"]
     kernels = {
         name: kernel.size
         for name, kernel in flatten_dict(shapes, sep=".").items()
@@ -130,18 +130,18 @@ def test_only_better_weights_are_shipped(better, tmp_path, monkeypatch, capsys):
     ship = runpy.run_path(str(TOOLS / "ship_weights.py"))["main"]
     old, new = tmp_path / "old.safetensors", tmp_path / "new.safetensors"
     first, second = (random_weights(SMALL, seed=seed) for seed in (0, 1))
-    save_weights(old, SMALL, first, record={"steps": {"all scenes": 40}}, half=True)
-    save_weights(new, SMALL, second, record={"step": 2})
+    save_weights(old, first, record={"steps": {"all scenes": 40}}, half=True)
+    save_weights(new, second, record={"step": 2})
     untouched = old.read_bytes()
 
-    def validate(params, *_, num_images, **__):
+    def validate(network, *_, num_images, **__):
         is_new = np.allclose(
-            params["decoder"]["prediction"]["fc2"]["kernel"], kernel_of(second)
+            network.params["decoder"]["prediction"]["fc2"]["kernel"], kernel_of(second)
         )
         return {"mae": 20 / num_images - (is_new and better), "constant": 40}
 
-    def kernel_of(params):
-        return np.float16(params["decoder"]["prediction"]["fc2"]["kernel"])
+    def kernel_of(network):
+        return np.float16(network.params["decoder"]["prediction"]["fc2"]["kernel"])
 
     monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", validate)
     output = tmp_path / "out"
@@ -159,7 +159,7 @@ def test_only_better_weights_are_shipped(better, tmp_path, monkeypatch, capsys):
     assert f"gh release upload TAG {file}" in printed
     assert record["steps"] == {"all scenes": 42}
     assert record["scores"]["mae_deg"]["8"] == 1.5
-    kernel = load_weights(file)[1]["decoder"]["prediction"]["fc2"]["kernel"]
+    kernel = load_weights(file).params["decoder"]["prediction"]["fc2"]["kernel"]
     np.testing.assert_array_equal(kernel, kernel_of(second))
 
 
@@ -167,26 +167,26 @@ def test_the_mean_of_old_and_new_weights_can_be_shipped(tmp_path, monkeypatch, c
     ship = runpy.run_path(str(TOOLS / "ship_weights.py"))["main"]
     old, new = tmp_path / "old.safetensors", tmp_path / "new.safetensors"
     networks = [random_weights(SMALL, seed=seed) for seed in (0, 1)]
-    save_weights(old, SMALL, networks[0], record={"steps": {"all scenes": 40}})
-    save_weights(new, SMALL, networks[1], record={"step": 2})
-    kernels = [params["decoder"]["prediction"]["fc2"]["kernel"] for params in networks]
+    save_weights(old, networks[0], record={"steps": {"all scenes": 40}})
+    save_weights(new, networks[1], record={"step": 2})
+    kernels = [x.params["decoder"]["prediction"]["fc2"]["kernel"] for x in networks]
     mean = (kernels[0] + kernels[1]) / 2
 
-    def validate(params, *_, **__):
-        kernel = params["decoder"]["prediction"]["fc2"]["kernel"]
+    def validate(network, *_, **__):
+        kernel = network.params["decoder"]["prediction"]["fc2"]["kernel"]
         return {"mae": float(np.abs(kernel - mean).max()), "constant": 40}
 
     monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", validate)
     argv = [str(new), "--over", str(old), "--images", "8", "--average", "--install"]
     argv += ["-o", str(tmp_path / "out")]
     assert ship(argv) == 0
-    kernel = load_weights(old)[1]["decoder"]["prediction"]["fc2"]["kernel"]
+    kernel = load_weights(old).params["decoder"]["prediction"]["fc2"]["kernel"]
     np.testing.assert_allclose(kernel, mean, atol=1e-3)
     (file,) = (tmp_path / "out").iterdir()
     assert file.read_bytes() == old.read_bytes()
 
     other = dataclasses.replace(SMALL, hidden_dim=2 * SMALL.hidden_dim)
-    save_weights(new, other, random_weights(other), record={"step": 2})
+    save_weights(new, random_weights(other), record={"step": 2})
     shipped = old.read_bytes()
     assert ship(argv) == 2
     assert "--average: expected two networks alike" in capsys.readouterr().err
@@ -253,8 +253,8 @@ def test_widened_networks_are_the_same_function():
     pixels = jax.random.uniform(jax.random.key(1), (5, 3, 3))
     places = jax.numpy.linspace(0.0, 3.0, 5)
     inputs = images, pixels, places, places
-    expected = Network(narrow).apply({"params": params}, *inputs)
-    found = Network(wide).apply({"params": made}, *inputs)
+    expected = EncoderDecoder(narrow).apply({"params": params}, *inputs)
+    found = EncoderDecoder(wide).apply({"params": made}, *inputs)
     np.testing.assert_allclose(found, expected, atol=2e-4)
     # Twins are told apart: their rows differ.
     kernel = made["decoder"]["prediction"]["fc1"]["kernel"]
@@ -263,7 +263,7 @@ def test_widened_networks_are_the_same_function():
 
 def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
     main = runpy.run_path(str(TOOLS / "widen_weights.py"))["main"]
-    save_weights(tmp_path / "own.safetensors", SMALL_OURS, lively_weights(SMALL_OURS))
+    save_weights(tmp_path / "own.safetensors", lively_network(SMALL_OURS))
     output = tmp_path / "wide.safetensors"
     assert main([str(tmp_path / "own.safetensors"), "-o", str(output)]) == 2
     error = capsys.readouterr().err

@@ -13,6 +13,7 @@ import pytest
 from training_runs import CONFIG, batch
 
 from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
+from unips_jax.training.loss import Objects
 from unips_jax.training.optimizer import make_optimizer, make_schedule
 from unips_jax.training.state import new_state
 from unips_jax.training.step import _untrained, augment, train_step
@@ -123,11 +124,11 @@ def test_augmented_normals_stay_those_of_the_surface():
     images = np.stack(3 * [height])[..., None] * np.array([1, 2, 4], np.float32)
     mask = height > 10.2
     # Longer where the plane is higher, so that every pixel differs.
-    scene = images, mask, height[..., None] * normal, np.stack(3 * [normal])
-    many = jax.jit(jax.vmap(augment, (None, None, None, None, 0)))
+    scene = Objects(images, mask, height[..., None] * normal, np.stack(3 * [normal]))
+    many = jax.jit(jax.vmap(augment, (None, 0)))
     keys = jax.random.split(jax.random.key(0), 200)
     turns, orders = [], []
-    augmented = map(np.asarray, many(*scene, keys))
+    augmented = map(np.asarray, many(scene, keys))
     for images, mask, normals, lights in zip(*augmented, strict=True):
         factors = images / images.min(-1, keepdims=True)
         orders += [tuple(each[0, 0].round().astype(int)) for each in factors]

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from evaluation_data import tilted
-from small_networks import SMALL, lively_weights
+from small_networks import SMALL, lively_network
 
 from unips_jax.cli import validate as command
 from unips_jax.scenes import Scene, SceneConfig
@@ -27,15 +27,15 @@ CONFIG = Config(
 
 
 def test_scores_groups_and_pictures(tmp_path, monkeypatch):
-    params = lively_weights(CONFIG.model)
+    network = lively_network(CONFIG.model)
     options = {"count": 3, "num_images": 2, "size": 32}
-    scores = validate(params, CONFIG.model, SceneConfig(), **options)
+    scores = validate(network, SceneConfig(), **options)
     assert 0 < scores["constant"] < 90
     for group in ("light", "material", "shape", "camera"):
         members = [v for k, v in scores.items() if k.startswith(f"{group}/")]
         assert min(members) - 1e-6 <= scores["mae"] <= max(members) + 1e-6
 
-    pictures = validation_pictures(params, CONFIG, count=1)
+    pictures = validation_pictures(network, CONFIG, count=1)
     picture = pictures["validation/scene0"]
     assert picture.shape == (32, 4 * 32, 3)
     assert picture.dtype == np.uint8
@@ -89,7 +89,7 @@ def test_scores_by_hand(monkeypatch):
     ]
     monkeypatch.setattr(validation, "estimate_held_out", lambda *_, **__: held_out)
     options = {"count": 3, "num_images": 2, "size": 8}
-    scores = validate(None, CONFIG.model, SceneConfig(), **options)
+    scores = validate(None, SceneConfig(), **options)
     assert scores == pytest.approx(
         {
             "mae": (5 + 30 + 20) / 3,
@@ -109,7 +109,7 @@ def test_scores_by_hand(monkeypatch):
 
 def test_all_scenes_of_one_kind(tmp_path, capsys):
     weights = str(tmp_path / "w.safetensors")
-    save_weights(weights, CONFIG.model, lively_weights(CONFIG.model))
+    save_weights(weights, lively_network(CONFIG.model))
     sizes = ["--scenes", "3", "--images", "2", "--size", "32"]
     kinds = ["--light", "point", "--material", "dark", "--shape", "relief"]
     assert command.main(["--weights", weights, *sizes, *kinds, "--json"]) == 0

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_networks import SMALL_OURS, lively_weights
+from small_networks import SMALL_OURS, lively_network
 
 from unips_jax import estimate_photographs, load_weights, read_photographs
 from unips_jax.io.images import read_image, write_image
@@ -96,11 +96,9 @@ def normals_by_page(driver, folder, seconds=240):
     return read_normals(path)
 
 
-def require_same(found, folder, config, params):
+def require_same(found, folder, network):
     images, mask, transfer = read_photographs(folder)
-    expected = estimate_photographs(
-        params, images, mask, config=config, transfer=transfer
-    )
+    expected = estimate_photographs(network, images, mask, transfer=transfer)
     # Zero is stored as the integer above it.
     assert np.array_equal(np.linalg.norm(found, axis=-1) > 0.5, mask)
     assert np.max(angular_error_deg(found[mask], expected[mask])) < 0.1
@@ -124,9 +122,8 @@ def write_set(folder, dtype):
 def small(tmp_path_factory):
     """The page with a small network: its folder, and the parameters."""
     work = tmp_path_factory.mktemp("page")
-    params = lively_weights(SMALL_OURS)
     weights = work / "small.safetensors"
-    save_weights(weights, SMALL_OURS, params, half=True)
+    save_weights(weights, lively_network(SMALL_OURS), half=True)
     if build([str(work / "out"), "--weights", str(weights)]) != 0:
         assert "CI" not in os.environ
         pytest.skip("npm cannot fetch the page's packages")
@@ -134,7 +131,7 @@ def small(tmp_path_factory):
 
 
 def test_page(small, tmp_path):
-    page, (config, params) = small
+    page, network = small
     for name, dtype in (("eight", np.uint8), ("sixteen", np.uint16)):
         write_set(tmp_path / name, dtype)
     pixels = np.random.default_rng(1).integers(0, 255, (16, 24, 3)).astype(np.uint8)
@@ -142,7 +139,7 @@ def test_page(small, tmp_path):
     with opened(page) as driver:
         for name in ("eight", "sixteen"):
             found = normals_by_page(driver, tmp_path / name)
-            require_same(found, tmp_path / name, config, params)
+            require_same(found, tmp_path / name, network)
         # Browsers decode JPEGs nearly as we do.
         choose(driver, [tmp_path / "one.jpg"])
         values = driver.execute_script("return [...unips.state.photographs[0].values]")

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 from small_networks import SMALL_OURS as CONFIG
-from small_networks import lively_weights
+from small_networks import lively_network, lively_weights
 
 from unips_jax.models.encoding import Guesses
-from unips_jax.models.network import Network, init_params
+from unips_jax.models.network import EncoderDecoder, init_params
 from unips_jax.training import loss as losses
 from unips_jax.training.config import Config, DataConfig, TrainConfig
 from unips_jax.training.step import batch_loss
 
 
 def agreement(params):
-    return Network(CONFIG).bind({"params": params}).encoder.consensus
+    return EncoderDecoder(CONFIG).bind({"params": params}).encoder.consensus
 
 
 def contexts(sets=2, images=3):
@@ -63,7 +63,11 @@ def scene():
 def test_losses_of_guesses_are_their_distances():
     _, mask, normals, lights = scene()
     flat = np.broadcast_to(normals[0, 5, 5], (2, 4, 4, 3))
-    score = functools.partial(losses._guess_losses, frame_kind="mask")
+
+    def score(guesses, mask, normals, lights):
+        objects = losses.Objects(None, mask, normals, lights)
+        return losses._guess_losses(guesses, objects, "mask")
+
     right = score(Guesses(5 * flat, lights), mask, normals, lights)
     assert max(right.values()) < 1e-3
     wrong = score(Guesses(-flat, lights + (0, 0.5, 0)), mask, normals, lights)
@@ -98,24 +102,19 @@ def test_training_teaches_every_parameter():
 
     @jax.jit
     @jax.value_and_grad
-    def loss(params, lights):
+    def loss(network, lights):
         keys = jax.random.split(jax.random.key(0), 2)
-        return losses.training_loss(
-            params,
-            images,
-            mask,
-            normals,
-            keys,
-            lights=lights,
-            config=CONFIG,
-            num_pixels=20,
-        )[0]
+        objects = losses.Objects(images, mask, normals, lights)
+        options = losses.LossOptions(num_pixels=20)
+        return losses.training_loss(network, objects, keys, options)[0]
 
-    params = lively_weights(CONFIG)
-    value, gradient = loss(params, lights)
-    for name, leaf in flatten_dict(gradient["encoder"]["consensus"], sep="/").items():
+    network = lively_network(CONFIG)
+    value, gradient = loss(network, lights)
+    for name, leaf in flatten_dict(
+        gradient.params["encoder"]["consensus"], sep="/"
+    ).items():
         if not name.endswith("key/bias"):  # drops out of the softmax
             assert abs(leaf).max() > 0, name
-    unknown, gradient = loss(params, None)
+    unknown, gradient = loss(network, None)
     assert unknown < value
-    assert not np.any(gradient["encoder"]["consensus"]["lights"]["kernel"])
+    assert not np.any(gradient.params["encoder"]["consensus"]["lights"]["kernel"])

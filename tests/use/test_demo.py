@@ -10,6 +10,7 @@ from unips_jax import weights
 from unips_jax.cli import demo
 from unips_jax.estimation import streaming
 from unips_jax.models.config import ModelConfig
+from unips_jax.models.network import UniversalNetwork
 
 FOLDER = demo.SAMPLE / "obj000.data"
 
@@ -26,14 +27,16 @@ def test_what_the_demo_says_of_its_normals_is_true(tmp_path, monkeypatch, capsys
     inside = abs(np.linalg.norm(truth, axis=-1) - 1) < 1e-3
     seen = {}
 
-    def stand_in(params, images, mask, *, config, transfer, frame, progress):
+    def stand_in(network, images, mask, *, transfer, frame, progress):
         seen.update(images=images, mask=mask, transfer=transfer, frame=frame)
         mirrored = truth * [-1, 1, 1] + [0, 0, 0.2]
         mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
-        return (mirrored * mask[..., None]).astype(np.float32)
+        normals = (mirrored * mask[..., None]).astype(np.float32)
+        return streaming.NormalsAndLights(normals, None)
 
-    monkeypatch.setattr(streaming, "estimate_photographs", stand_in)
-    monkeypatch.setattr(weights, "load_weights", lambda name: (ModelConfig.tiny(), {}))
+    monkeypatch.setattr(streaming, "estimate_with_lights", stand_in)
+    network = UniversalNetwork(ModelConfig.tiny(), {})
+    monkeypatch.setattr(weights, "load_weights", lambda name: network)
     target = tmp_path / "out"
     assert demo.main(["-o", str(target)]) == 0
     np.testing.assert_array_equal(seen["mask"], inside)

@@ -15,6 +15,7 @@ from unips_jax import weights
 from unips_jax.estimation import folders, streaming
 from unips_jax.io.selection import select
 from unips_jax.models.config import ModelConfig
+from unips_jax.models.network import UniversalNetwork
 
 HEIGHT, WIDTH = 60, 80
 EXAMPLES = 6
@@ -66,7 +67,7 @@ def test_results_lie_at_the_photographs_place(folder, tmp_path, network_calls, c
     record = json.loads((place / "normals.json").read_text())
     assert list(record["images"]) == [f"L_{i}.png" for i in range(EXAMPLES)]
     assert record["left_out"] == {"a map or output, by its name": ["normal.tif"]}
-    shipped = weights.params_hash(*weights.load_weights("tiny"))
+    shipped = weights.weights_hash(weights.load_weights("tiny"))
     assert record["weights"] == {"name": "tiny", "hash": shipped, "trained": True}
     assert sorted([*record["files"], "normals.json"]) == [*files, "sheet.png"]
     out, err = capsys.readouterr()
@@ -140,7 +141,9 @@ def test_warnings_go_to_standard_error(folder, tmp_path, calls, capsys):
 
 def test_random_weights_say_so(folder, tmp_path, calls, monkeypatch, capsys):
     monkeypatch.setattr(
-        weights, "random_weights", lambda config, seed: {"a": np.ones(3)}
+        weights,
+        "random_weights",
+        lambda config, seed: UniversalNetwork(config, {"a": np.ones(3)}),
     )
     assert run(folder, "-o", tmp_path, "--random-weights") == 0
     assert "RANDOM WEIGHTS: an untrained network" in capsys.readouterr().out
@@ -176,7 +179,7 @@ def test_a_crash_in_a_batch_is_one_line_too(folder, tmp_path, calls, monkeypatch
 
     other = tmp_path / "other"
     folder.rename(other)
-    monkeypatch.setattr(streaming, "estimate_photographs", crash)
+    monkeypatch.setattr(streaming, "estimate_with_lights", crash)
     out = tmp_path / "out"
     assert run(other, tmp_path / "none", "-o", out) == 2
     with pytest.raises(RuntimeError, match="memory"):
@@ -187,10 +190,11 @@ def test_a_crash_in_a_batch_is_one_line_too(folder, tmp_path, calls, monkeypatch
 def test_normals_that_are_not_finite_are_not_written(
     folder, tmp_path, calls, monkeypatch, capsys
 ):
-    def broken(params, images, mask, **options):
-        return np.where(mask[..., None], np.nan, 0) * np.ones(3, np.float32)
+    def broken(network, images, mask, **options):
+        normals = np.where(mask[..., None], np.nan, 0) * np.ones(3, np.float32)
+        return streaming.NormalsAndLights(normals, None)
 
-    monkeypatch.setattr(streaming, "estimate_photographs", broken)
+    monkeypatch.setattr(streaming, "estimate_with_lights", broken)
     assert run(folder, "-o", tmp_path / "out") == 2
     assert "not finite at" in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out").exists()
@@ -285,7 +289,8 @@ def test_other_options_are_done_again(done, arguments):
 
 
 def test_other_weights_or_code_are_done_again(done, monkeypatch):
-    other = ModelConfig.small(), {"a": {"kernel": np.ones(6, np.float32)}}
+    params = {"a": {"kernel": np.ones(6, np.float32)}}
+    other = UniversalNetwork(ModelConfig.small(), params)
     with monkeypatch.context() as patched:
         patched.setattr(weights, "load_weights", lambda name: other)
         assert done() == (0, 1)

@@ -7,20 +7,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL, SMALL_OURS, lively_weights, with_dtype
+from small_networks import SMALL, SMALL_OURS, lively_network, with_dtype
 
 from unips_jax import estimate_normals
 from unips_jax.estimation import pure
-from unips_jax.estimation.frame import canonical_images, square_frame
 from unips_jax.estimation.streaming import estimate_photographs
+from unips_jax.models import chunks
 from unips_jax.models.config import SelfCalibratingConfig
-from unips_jax.models.network import Network
+from unips_jax.models.network import encode
 from unips_jax.models.ops import normalize
+from unips_jax.models.views import Views, canonical_images, square_frame
 
 
 @pytest.fixture(scope="module")
-def params():
-    return lively_weights()
+def network():
+    return lively_network()
 
 
 def photographs(n=3, height=23, width=31):
@@ -32,34 +33,34 @@ def photographs(n=3, height=23, width=31):
     return images, mask
 
 
-def test_unit_inside_zero_outside_and_scale_free(params):
+def test_unit_inside_zero_outside_and_scale_free(network):
     images, mask = photographs()
-    normals = estimate_normals(params, images, mask, config=SMALL)
+    normals = estimate_normals(network, images, mask)
     assert normals.shape == (23, 31, 3)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), mask, atol=1e-5)
     scaled = images * np.array([1.0, 50.0, 0.02])[:, None, None, None]
-    again = estimate_normals(params, scaled, mask, config=SMALL)
+    again = estimate_normals(network, scaled, mask)
     np.testing.assert_allclose(again, normals, atol=1e-4)
 
 
-def test_light_outside_the_mask_does_not_matter(params):
+def test_light_outside_the_mask_does_not_matter(network):
     images, mask = photographs()
-    normals = estimate_normals(params, images, mask, config=SMALL)
+    normals = estimate_normals(network, images, mask)
     other = np.where(mask[..., None], images, 7)
-    again = estimate_normals(params, other, mask, config=SMALL)
+    again = estimate_normals(network, other, mask)
     np.testing.assert_allclose(again, normals, atol=1e-6)
 
 
-def test_chunked_equals_whole(params, monkeypatch):
+def test_chunked_equals_whole(network, monkeypatch):
     images, mask = photographs(n=5)
-    monkeypatch.setattr(pure, "CHUNK_TOKENS", 10**6)
-    monkeypatch.setattr(pure, "CHUNK_IMAGES", 10)
+    monkeypatch.setattr(chunks, "CHUNK_TOKENS", 10**6)
+    monkeypatch.setattr(chunks, "CHUNK_IMAGES", 10)
     pure._estimate.clear_cache()
-    whole = estimate_normals(params, images, mask, config=SMALL)
-    monkeypatch.setattr(pure, "CHUNK_TOKENS", 70)
-    monkeypatch.setattr(pure, "CHUNK_IMAGES", 2)
+    whole = estimate_normals(network, images, mask)
+    monkeypatch.setattr(chunks, "CHUNK_TOKENS", 70)
+    monkeypatch.setattr(chunks, "CHUNK_IMAGES", 2)
     pure._estimate.clear_cache()
-    chunked = estimate_normals(params, images, mask, config=SMALL)
+    chunked = estimate_normals(network, images, mask)
     pure._estimate.clear_cache()
     np.testing.assert_allclose(chunked, whole, atol=1e-5)
 
@@ -69,30 +70,27 @@ def test_encoding_in_pieces_is_the_encoder(monkeypatch, communication):
     config = SMALL_OURS
     if communication != "ours":
         config = dataclasses.replace(SMALL, communication=communication)
-    params = lively_weights(config)
-    images = jax.random.uniform(jax.random.key(1), (5, 16, 16, 4))
+    network = lively_network(config)
+    images = jax.random.uniform(jax.random.key(1), (2, 5, 16, 16, 4))
     valid = jnp.array([True, True, False, True, True])
-    monkeypatch.setattr(pure, "CHUNK_TOKENS", 30)
+    monkeypatch.setattr(chunks, "CHUNK_TOKENS", 30)
 
     @jax.jit
-    def both(params, images, valid):
-        pieces = pure.encode(params, images, valid, config=config)
-        whole = Network(config).apply(
-            {"params": params}, images, valid, method="encode"
-        )
-        return pieces, whole.contexts
+    def both(network, images, valid):
+        views = Views(images, None, None)
+        pieces = encode(network, views, valid, **chunks.bounded(5))
+        whole = encode(network, views, valid)
+        return pieces.contexts, whole.contexts
 
-    np.testing.assert_allclose(*both(params, images, valid), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(*both(network, images, valid), rtol=1e-4, atol=1e-4)
 
 
-def test_place_in_the_image_does_not_matter(params):
+def test_place_in_the_image_does_not_matter(network):
     images, mask = photographs()
     rows, columns = np.nonzero(mask)
     box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    cropped = estimate_normals(
-        params, images[:, *box], mask[box], config=SMALL, frame="mask"
-    )
-    whole = estimate_normals(params, images, mask, config=SMALL)
+    cropped = estimate_normals(network, images[:, *box], mask[box], frame="mask")
+    whole = estimate_normals(network, images, mask)
     np.testing.assert_allclose(whole[box], cropped, atol=1e-5)
 
 
@@ -133,30 +131,28 @@ class OneView(SelfCalibratingConfig):
 def test_mirror_averages_with_the_mirrored_images():
     """And so does its gradient; mirrored images give the mirrored normals."""
     images, mask = photographs()
-    config, params = SMALL_OURS, lively_weights(SMALL_OURS)
+    config, network = SMALL_OURS, lively_network(SMALL_OURS)
     sizes = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
     del sizes["network"]
-    one_view = OneView(**sizes)
+    one_view = dataclasses.replace(network, config=OneView(**sizes))
     target = jax.random.normal(jax.random.key(0), (*mask.shape, 3))
 
     def mirrored(normals):
         return normals[:, ::-1] * jnp.array([-1, 1, 1])
 
     def both(images):
-        plain = estimate_normals(params, images, mask, config=one_view)
-        other = estimate_normals(
-            params, images[:, :, ::-1], mask[:, ::-1], config=one_view
-        )
+        plain = estimate_normals(one_view, images, mask)
+        other = estimate_normals(one_view, images[:, :, ::-1], mask[:, ::-1])
         return normalize(plain + mirrored(other))
 
     def averaged(images):
-        return estimate_normals(params, images, mask, config=config)
+        return estimate_normals(network, images, mask)
 
     expected = both(images)
-    plain = estimate_normals(params, images, mask, config=one_view)
+    plain = estimate_normals(one_view, images, mask)
     assert abs(plain - expected).max() > 0.01
     np.testing.assert_allclose(averaged(images), expected, atol=1e-5)
-    swapped = estimate_normals(params, images[:, :, ::-1], mask[:, ::-1], config=config)
+    swapped = estimate_normals(network, images[:, :, ::-1], mask[:, ::-1])
     np.testing.assert_allclose(mirrored(swapped), expected, atol=1e-5)
 
     gradients = [
@@ -166,63 +162,65 @@ def test_mirror_averages_with_the_mirrored_images():
     np.testing.assert_allclose(*gradients, rtol=1e-3, atol=1e-4)
 
 
-def test_no_mask_is_the_whole_image(params):
+def test_no_mask_is_the_whole_image(network):
     images, _ = photographs()
-    normals = estimate_normals(params, images, config=SMALL)
+    normals = estimate_normals(network, images)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
 
 
-def test_padded_sets(params):
+def test_padded_sets(network):
     images, mask = photographs()
-    plain = estimate_normals(params, images, mask, config=SMALL)
+    plain = estimate_normals(network, images, mask)
     padded = np.concatenate([images, np.full((2, 23, 31, 3), 5, np.float32)])
     valid = np.array([True, True, True, False, False])
-    again = estimate_normals(params, padded, mask, config=SMALL, valid=valid)
+    again = estimate_normals(network, padded, mask, valid=valid)
     np.testing.assert_allclose(again, plain, atol=1e-5)
 
 
-def test_jit_vmap_and_eager_agree(params):
+def test_jit_vmap_and_eager_agree(network):
     pairs = [photographs(), photographs()]
     pairs[1] = (pairs[1][0][:, ::-1] ** 2, pairs[1][1][:, ::-1])
     images, masks = (np.stack(x) for x in zip(*pairs, strict=True))
 
     def run(images, mask):
-        return estimate_normals(params, images, mask, config=SMALL)
+        return estimate_normals(network, images, mask)
 
     loop = np.stack([run(*pair) for pair in zip(images, masks, strict=True)])
     np.testing.assert_allclose(jax.jit(jax.vmap(run))(images, masks), loop, atol=1e-5)
 
 
-def test_runs_inside_shard_map(params):
+def test_runs_inside_shard_map(network):
     images, masks = (x[None] for x in photographs())
     mesh = jax.sharding.Mesh(jax.devices()[:1], "data")
     spec = jax.sharding.PartitionSpec("data")
 
     def run(images, masks):
-        return estimate_normals(params, images[0], masks[0], config=SMALL)[None]
+        return estimate_normals(network, images[0], masks[0])[None]
 
     sharded = jax.jit(jax.shard_map(run, mesh=mesh, in_specs=spec, out_specs=spec))
     np.testing.assert_allclose(sharded(images, masks), run(images, masks), atol=1e-5)
 
 
-def test_gradients_agree_with_finite_differences(params):
+def test_gradients_agree_with_finite_differences(network):
     """In float64, along random directions, for images and for parameters."""
     with jax.enable_x64(True):
-        config = with_dtype(SMALL, "float64")
+        network = jax.tree.map(
+            lambda x: np.asarray(x, np.float64),
+            dataclasses.replace(network, config=with_dtype(SMALL, "float64")),
+        )
         images, mask = photographs()
         images = np.asarray(images, np.float64)
-        params = jax.tree.map(lambda x: np.asarray(x, np.float64), params)
         target = jnp.array([0.3, -0.5, 0.8])
 
-        def loss(params, images):
-            normals = estimate_normals(params, images, mask, config=config)
+        def loss(network, images):
+            normals = estimate_normals(network, images, mask)
             return jnp.sum(normals * target)
 
         generator = np.random.default_rng(0)
-        gradients = jax.jit(jax.grad(loss, argnums=(0, 1)))(params, images)
+        gradients = jax.jit(jax.grad(loss, argnums=(0, 1)))(network, images)
         loss = jax.jit(loss)
         for argument in (0, 1):
-            point = (params, images)[argument]
+            point = (network, images)[argument]
             direction = jax.tree.map(
                 lambda x: generator.standard_normal(x.shape), point
             )
@@ -231,18 +229,18 @@ def test_gradients_agree_with_finite_differences(params):
 
             def shifted(step, argument=argument, point=point, direction=direction):
                 moved = jax.tree.map(lambda x, d: x + step * d, point, direction)
-                return loss(*((moved, images), (params, moved))[argument])
+                return loss(*((moved, images), (network, moved))[argument])
 
             numeric = (shifted(1e-6) - shifted(-1e-6)) / 2e-6
             np.testing.assert_allclose(exact, numeric, rtol=1e-5)
 
 
-def test_gradients_are_finite_where_images_are_black(params):
+def test_gradients_are_finite_where_images_are_black(network):
     images, mask = photographs()
     images[1] = 0
 
     def loss(images):
-        normals = estimate_normals(params, images, mask, config=SMALL)
+        normals = estimate_normals(network, images, mask)
         return jnp.sum(normals**2 * jnp.array([1.0, 2.0, 3.0]))
 
     assert np.isfinite(jax.grad(loss)(jnp.asarray(images))).all()
@@ -263,10 +261,10 @@ def equations(jaxpr, inside_loop=False):
 @pytest.mark.parametrize("config", [SMALL, SMALL_OURS], ids=["paper", "ours"])
 def test_loops_never_hold_whole_images(config):
     """Nor does their backward pass: else its cost grows with the pixels squared."""
-    images, params = jnp.zeros((3, 90, 120, 3)), lively_weights(config)
+    images, network = jnp.zeros((3, 90, 120, 3)), lively_network(config)
 
     def loss(images):
-        return jnp.sum(estimate_normals(params, images, config=config)[..., 2])
+        return jnp.sum(estimate_normals(network, images)[..., 2])
 
     gradient = jax.make_jaxpr(jax.grad(loss))(images)
     sizes = [
@@ -276,30 +274,30 @@ def test_loops_never_hold_whole_images(config):
         for variable in (*equation.invars, *equation.outvars)
     ]
     whole = images.size
-    assert pure.CHUNK_TOKENS < max(sizes) < whole / 2
+    assert chunks.CHUNK_TOKENS < max(sizes) < whole / 2
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite_show(params, value):
+def test_values_that_are_not_finite_show(network, value):
     images, mask = photographs()
-    clean = estimate_normals(params, images, mask, config=SMALL)
+    clean = estimate_normals(network, images, mask)
     images[:, ~mask] = value
-    again = estimate_normals(params, images, mask, config=SMALL)
+    again = estimate_normals(network, images, mask)
     np.testing.assert_array_equal(again, clean)
     images[1, 12, 13, 2] = value
     expected = np.where(mask, np.nan, 0)[..., None].repeat(3, -1)
     for estimate in (estimate_normals, estimate_photographs):
         with np.errstate(invalid="ignore"):
-            normals = estimate(params, images, mask, config=SMALL)
+            normals = estimate(network, images, mask)
         np.testing.assert_array_equal(normals, expected)
 
 
-def test_compiles_once_per_shape(params):
+def test_compiles_once_per_shape(network):
     pure._estimate.clear_cache()
     for seed in range(3):
         images, mask = photographs()
         mask = mask & (np.random.default_rng(seed).random(mask.shape) < 0.8)
-        estimate_normals(params, images * (1 + seed), mask, config=SMALL)
+        estimate_normals(network, images * (1 + seed), mask)
     assert pure._estimate._cache_size() == 1
 
 
@@ -313,7 +311,7 @@ def test_compiles_once_per_shape(params):
     ids=["float", "linear", "srgb"],
 )
 def test_streaming_gives_the_same(dtype, transfer, config):
-    params = lively_weights(config)
+    network = lively_network(config)
     images, mask = photographs(n=5)
     stored, linear = images, images
     if dtype != "float32":
@@ -323,13 +321,12 @@ def test_streaming_gives_the_same(dtype, transfer, config):
     if transfer == "srgb":
         high = ((linear + 0.055) / 1.055) ** 2.4
         linear = np.where(linear <= 0.04045, linear / 12.92, high)
-    expected = estimate_normals(params, linear, mask, config=config)
+    expected = estimate_normals(network, linear, mask)
     seen = []
     actual = estimate_photographs(
-        params,
+        network,
         stored,
         mask,
-        config=config,
         transfer=transfer,
         progress=lambda done, total: seen.append((done, total)),
     )
@@ -337,12 +334,10 @@ def test_streaming_gives_the_same(dtype, transfer, config):
     assert seen[-1] == (mask.sum(), mask.sum())
 
 
-def test_uniform_contexts_differ(params):
+def test_uniform_contexts_differ(network):
     images, mask = photographs()
-    plain = estimate_normals(params, images, mask, config=SMALL)
-    uniform = estimate_normals(
-        params, images, mask, config=SMALL, uniform_contexts=True
-    )
+    plain = estimate_normals(network, images, mask)
+    uniform = estimate_normals(network, images, mask, uniform_contexts=True)
     assert abs(plain - uniform).max() > 1e-3
 
 
@@ -355,27 +350,27 @@ def test_uniform_contexts_differ(params):
         (np.zeros((2, 8, 8, 3)), np.ones((8, 9)), r"mask: expected .*\(8, 8\)"),
     ],
 )
-def test_bad_shapes(params, images, mask, message):
+def test_bad_shapes(network, images, mask, message):
     with pytest.raises(ValueError, match=message):
-        estimate_normals(params, images, mask, config=SMALL)
+        estimate_normals(network, images, mask)
 
 
-def test_every_number_but_zero_is_inside_the_mask(params):
+def test_every_number_but_zero_is_inside_the_mask(network):
     images, mask = photographs()
-    expected = estimate_normals(params, images, mask, config=SMALL)
+    expected = estimate_normals(network, images, mask)
     for value in (-1, 0.3):
-        normals = estimate_normals(params, images, value * mask, config=SMALL)
+        normals = estimate_normals(network, images, value * mask)
         np.testing.assert_array_equal(normals, expected)
 
 
-def test_no_valid_image_gives_no_normal(params):
+def test_no_valid_image_gives_no_normal(network):
     """And no gradient that is not a number."""
     images, mask = photographs()
 
     @jax.jit
     def run(images, valid):
         def loss(images):
-            normals = estimate_normals(params, images, mask, config=SMALL, valid=valid)
+            normals = estimate_normals(network, images, mask, valid=valid)
             return jnp.sum(normals), normals
 
         return jax.grad(loss, has_aux=True)(images)
@@ -386,10 +381,10 @@ def test_no_valid_image_gives_no_normal(params):
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), mask, atol=1e-5)
 
 
-def test_a_mask_known_to_the_compiler_is_not_worked_through(params):
+def test_a_mask_known_to_the_compiler_is_not_worked_through(network):
     """Its folding takes longer than the rest of a large image's compilation."""
     images, mask = photographs()
-    run = jax.jit(lambda images: estimate_normals(params, images, mask, config=SMALL))
+    run = jax.jit(lambda images: estimate_normals(network, images, mask))
     program = run.lower(images).compile().as_text()
     assert "pred[23,31]" in program
     assert not re.search(r"s32\[713\]\S* constant\(", program)
@@ -406,15 +401,32 @@ def test_a_mask_known_to_the_compiler_is_not_worked_through(params):
 )
 def test_strict_promotion_is_enough(config):
     """Of types and of ranks, forward and backward."""
-    shapes = jax.eval_shape(lambda: lively_weights(config))
+    shapes = jax.eval_shape(lambda: lively_network(config))
     images = jax.ShapeDtypeStruct((3, 9, 7, 3), jnp.float32)
     mask, valid = (jax.ShapeDtypeStruct(shape, bool) for shape in ((9, 7), (3,)))
 
-    def loss(params, images, mask, valid):
+    def loss(network, images, mask, valid):
         normals = estimate_normals(
-            *(params, images, mask), config=config, valid=valid, uniform_contexts=True
+            *(network, images, mask), valid=valid, uniform_contexts=True
         )
         return jnp.sum(normals)
 
     with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
         jax.eval_shape(jax.grad(loss, (0, 1)), shapes, images, mask, valid)
+
+
+def test_what_is_no_network_is_refused():
+    images, mask = photographs()
+    with pytest.raises(TypeError, match="network: expected a UniversalNetwork.*dict"):
+        estimate_normals({}, images, mask)
+
+
+def test_a_gradient_with_respect_to_a_network_is_one(network):
+    images, mask = photographs()
+    gradient = jax.grad(lambda net: estimate_normals(net, images, mask)[..., 0].sum())
+    found = gradient(network)
+    assert found.config == network.config
+    assert jax.tree.structure(found) == jax.tree.structure(network)
+    assert np.isfinite(
+        np.concatenate([x.ravel() for x in jax.tree.leaves(found)])
+    ).all()

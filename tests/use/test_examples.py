@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from plain_objects import hemisphere
-from small_networks import SMALL, lively_weights
+from small_networks import lively_network
 from training_runs import write_objects
 
 from unips_jax import Materials, angular_error_deg, estimate_normals
@@ -25,18 +25,17 @@ def example(name):
 
 def test_white_balance_is_recovered():
     recover = example("recover_white_balance")["recover_gains"]
-    params = lively_weights()
+    network = lively_network()
     images = jax.random.uniform(jax.random.key(0), (3, 16, 16, 3))
     mask = jnp.ones((16, 16), bool).at[:3].set(False)
-    target = estimate_normals(params, images, mask, config=SMALL)
+    target = estimate_normals(network, images, mask)
     gains = jnp.exp(0.1 * jax.random.normal(jax.random.key(1), (3, 3)))
     gains = gains / jnp.prod(gains, axis=1, keepdims=True) ** (1 / 3)
     found, losses = recover(
-        params,
+        network,
         images * gains[:, None, None, :],
         mask,
         target,
-        config=SMALL,
         steps=150,
         learning_rate=0.02,
     )
@@ -87,8 +86,8 @@ def test_a_set_of_ones_own_is_learnt(tmp_path):
     batch = next(data)
     assert batch["images"].shape == (2, 3, 16, 16, 3)
     _, errors = tools["finetune"](
-        *(lively_weights(), data),
-        config=SMALL,
+        lively_network(),
+        data,
         steps=30,
         learning_rate=1e-2,
         num_pixels=64,
@@ -101,20 +100,20 @@ def test_it_is_a_layer_of_nnx_and_of_equinox():
     from flax import nnx
 
     tools = example("inside_modules")
-    params, config = lively_weights(), SMALL
+    network = lively_network()
     images = jax.random.uniform(jax.random.key(0), (3, 16, 16, 3))
     mask = jnp.ones((16, 16), bool).at[:3].set(False)
-    normals = estimate_normals(params, images, mask, config=config)
+    normals = estimate_normals(network, images, mask)
     expected = np.maximum(normals[..., 2], 0)
-    in_nnx = tools["NnxShading"](config, params)
-    in_equinox = tools["EquinoxShading"](config, params)
+    in_nnx = tools["NnxShading"](network)
+    in_equinox = tools["EquinoxShading"](network)
     for model in (in_nnx, in_equinox):
         np.testing.assert_allclose(model(images, mask), expected, atol=1e-5)
     first = nnx.grad(lambda model: model(images, mask).mean())(in_nnx)
     second = eqx.filter_grad(lambda model: model(images, mask).mean())(in_equinox)
     np.testing.assert_allclose(first["light"][...], second.light, atol=1e-5)
-    count = len(jax.tree.leaves(params))
-    for gradients in (first["network"], second.network):
+    count = len(jax.tree.leaves(network))
+    for gradients in (first["params"], second.network):
         leaves = jax.tree.leaves(gradients)
         assert len(leaves) == count
         assert any(np.abs(leaf).max() > 0 for leaf in leaves)
@@ -124,17 +123,17 @@ ON_EIGHT = """
 import runpy, sys
 import jax, numpy as np
 sys.path.insert(0, sys.argv[2])
-from small_networks import SMALL, lively_weights
+from small_networks import SMALL, lively_network
 from unips_jax import estimate_normals
 tools = runpy.run_path(sys.argv[1])
-params, mesh = lively_weights(), tools["all_devices"]()
+network, mesh = lively_network(), tools["all_devices"]()
 images = np.random.default_rng(0).random((8, 2, 16, 16, 3), np.float32)
 masks = np.ones((8, 16, 16), bool)
 masks[:, :3] = False
-normals = tools["estimate_objects"](params, images, masks, config=SMALL, mesh=mesh)
+normals = tools["estimate_objects"](network, images, masks, mesh=mesh)
 assert len(normals.sharding.device_set) == 8
 for i in (0, 7):
-    alone = estimate_normals(params, images[i], masks[i], config=SMALL)
+    alone = estimate_normals(network, images[i], masks[i])
     np.testing.assert_allclose(normals[i], alone, atol=1e-5)
 """
 
@@ -154,14 +153,12 @@ def test_eight_devices_share_objects():
 
 
 def test_export_round_trip():
-    params, config = lively_weights(), SMALL
-    data = example("export_round_trip")["exported"](
-        params, config=config, num_images=4, size=16
-    )
+    network = lively_network()
+    data = example("export_round_trip")["exported"](network, num_images=4, size=16)
     loaded = jax.export.deserialize(bytearray(data))
     mask = jnp.ones((16, 16), bool).at[:3].set(False)
     images = jax.random.uniform(jax.random.key(0), (4, 16, 16, 3))
     for valid in (jnp.ones(4, bool), jnp.arange(4) < 2):
-        expected = estimate_normals(params, images, mask, config=config, valid=valid)
+        expected = estimate_normals(network, images, mask, valid=valid)
         found = loaded.call(images, mask, valid)
         np.testing.assert_allclose(found, expected, atol=1e-5)

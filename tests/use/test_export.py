@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import onnx
 import pytest
-from small_networks import SMALL, SMALL_OURS, lively_weights
+from small_networks import SMALL, SMALL_OURS, lively_network
 
 from unips_jax import estimate_normals
 from unips_jax.cli.main import main
@@ -63,11 +63,11 @@ def save(folder, images, mask):
 
 @pytest.mark.parametrize("config", [SMALL_OURS, LARGER], ids=["ours", "unips"])
 def test_onnx_gives_the_same_normals(config, tmp_path, monkeypatch):
-    params, out = lively_weights(config), tmp_path / "unips-onnx"
-    record = write_export(out, config, params, format="onnx", name="small")
+    network, out = lively_network(config), tmp_path / "unips-onnx"
+    record = write_export(out, network, format="onnx", name="small")
     for n, height, width in ((3, 31, 23), (5, 19, 40)):
         images, mask = photographs(n, height, width)
-        expected = np.asarray(estimate_normals(params, images, mask, config=config))
+        expected = np.asarray(estimate_normals(network, images, mask))
         save(tmp_path, images, mask)
         monkeypatch.chdir(tmp_path)
         found = {}
@@ -81,9 +81,9 @@ def test_onnx_gives_the_same_normals(config, tmp_path, monkeypatch):
 
 
 def test_stablehlo_gives_the_same_normals_without_this_package(tmp_path):
-    params = lively_weights(SMALL_OURS)
+    network = lively_network(SMALL_OURS)
     out = tmp_path / "unips-stablehlo"
-    write_export(out, SMALL_OURS, params, format="stablehlo", name="small")
+    write_export(out, network, format="stablehlo", name="small")
     sets = {"low": photographs(3, 31, 23), "wide": photographs(5, 19, 40)}
     code = BARE
     for name, given in sets.items():
@@ -93,18 +93,18 @@ def test_stablehlo_gives_the_same_normals_without_this_package(tmp_path):
         code += "np.save('normals.npy', normals)\n"
     subprocess.run([sys.executable, "-I", "-c", code, tmp_path], check=True)
     for name, (images, mask) in sets.items():
-        expected = estimate_normals(params, images, mask, config=SMALL_OURS)
+        expected = estimate_normals(network, images, mask)
         found = np.load(tmp_path / name / "normals.npy")
         np.testing.assert_allclose(found, expected, atol=1e-4)
         assert (found[~mask] == 0).all() and np.abs(found[mask]).max() > 0.5
 
 
 def test_parameters_that_half_precision_holds_are_stored_so(tmp_path):
-    params = lively_weights(SMALL_OURS)
+    network = lively_network(SMALL_OURS)
     sizes = {}
     for half in (False, True):
         folder = tmp_path / str(half)
-        write_export(folder, SMALL_OURS, params, format="onnx", name="small", half=half)
+        write_export(folder, network, format="onnx", name="small", half=half)
         model = onnx.load(folder / "decoder.onnx")
         types = [x.data_type for x in model.graph.initializer if np.prod(x.dims) > 64]
         sizes[half] = types.count(onnx.TensorProto.FLOAT16)
@@ -112,8 +112,7 @@ def test_parameters_that_half_precision_holds_are_stored_so(tmp_path):
 
 
 def test_command(tmp_path, capsys):
-    params = jax.tree.map(np.asarray, lively_weights(SMALL_OURS))
-    save_weights(tmp_path / "small.safetensors", SMALL_OURS, params)
+    save_weights(tmp_path / "small.safetensors", lively_network(SMALL_OURS))
     weights, out = str(tmp_path / "small.safetensors"), tmp_path / "out"
     assert (
         main(["export", "--format", "onnx", "--weights", weights, "-o", str(out)]) == 0

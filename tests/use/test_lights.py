@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from PIL import Image
 from plain_objects import hemisphere
-from small_networks import SMALL_OURS, lively_weights
+from small_networks import SMALL_OURS, lively_network
 
 from unips_jax import estimate_lights
 from unips_jax.cli.estimate import main as estimate
 from unips_jax.errors import InputError
 from unips_jax.estimation import confidence
-from unips_jax.estimation.lights import guess_lights
 from unips_jax.estimation.options import FolderOptions
+from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.photographs import read_photographs, select
 from unips_jax.lighting import ptm
@@ -226,7 +226,7 @@ def test_halves_are_halves():
     for first, second in (halves[:2], halves[2:]):
         assert sorted([*first, *second]) == list(range(7))
     with pytest.raises(InputError, match="expected 2 photographs or more, got 1"):
-        confidence.normal_spread({}, np.ones((1, 4, 4, 3)), MASK, NORMALS, config=None)
+        confidence.normal_spread(None, np.ones((1, 4, 4, 3)), MASK, NORMALS)
 
 
 def test_all_is_everything():
@@ -245,7 +245,7 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
         cv2.imwrite(str(folder / f"{index}.png"), encoded[..., ::-1])
     cv2.imwrite(str(folder / "mask.png"), np.uint8(255 * MASK))
     weights = tmp_path / "small.safetensors"
-    save_weights(weights, SMALL_OURS, lively_weights(SMALL_OURS))
+    save_weights(weights, lively_network(SMALL_OURS))
     given = [str(folder), "-o", str(tmp_path / "out"), "--weights", str(weights)]
     every = ["--lights", "--base-color", "--rti", "--confidence"]
     assert estimate([*given, *every]) == 0
@@ -261,9 +261,8 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
     found = json.loads((out / "lights.json").read_text())["photographs"]
     # What the network guesses, here a random one.
     images, mask, transfer = read_photographs(folder)
-    guesses = guess_lights(
-        lively_weights(SMALL_OURS), images, mask, config=SMALL_OURS, transfer=transfer
-    )
+    network = lively_network(SMALL_OURS)
+    _, guesses = estimate_with_lights(network, images, mask, transfer=transfer)
     directions = np.array([light["direction"] for light in found])
     assert angles(directions, guesses).max() < 0.1
     levels = cv2.imread(str(out / "confidence.png"), cv2.IMREAD_UNCHANGED)

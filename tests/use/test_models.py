@@ -13,10 +13,10 @@ import small_networks
 from flax.traverse_util import flatten_dict
 from small_networks import lively
 
-from unips_jax.estimation.chunks import in_pieces
+from unips_jax.models.chunks import in_pieces
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import from_json, to_json
-from unips_jax.models.network import Network, init_params
+from unips_jax.models.network import EncoderDecoder, init_params
 from unips_jax.models.self_calibrating import Observation, image_ratios
 from unips_jax.models.set_attention import PMA, SAB, dot_product_attention
 
@@ -43,7 +43,7 @@ def inputs(n=3, size=20, pixels=17):
 
 
 def make(config, n=3):
-    network = Network(config)
+    network = EncoderDecoder(config)
     arguments = inputs(n, config.canonical_size)
     return network, lively(network.init, *arguments)["params"], arguments
 
@@ -179,7 +179,7 @@ def test_attention_is_a_softmax_per_head(members):
 @pytest.mark.parametrize("config", [SMALL, OURS], ids=["paper", "ours"])
 def test_every_parameter_is_reached_and_remat_changes_nothing(config):
     network, params, arguments = make(config)
-    again = Network(dataclasses.replace(config, remat=True))
+    again = EncoderDecoder(dataclasses.replace(config, remat=True))
 
     def loss(params, network):
         normals = network.apply({"params": params}, *arguments)
@@ -299,7 +299,7 @@ def test_every_piece_has_its_own_dropout():
 
 def test_bfloat16_stays_near():
     network, params, arguments = make(SMALL)
-    half = Network(dataclasses.replace(SMALL, dtype="bfloat16"))
+    half = EncoderDecoder(dataclasses.replace(SMALL, dtype="bfloat16"))
     exact = jax.jit(network.apply)({"params": params}, *arguments)
     rounded = jax.jit(half.apply)({"params": params}, *arguments)
     assert rounded.dtype == jnp.float32
@@ -309,7 +309,9 @@ def test_bfloat16_stays_near():
 def test_paper_size():
     def count(config):
         arguments = inputs(2, config.canonical_size)
-        shapes = jax.eval_shape(Network(config).init, jax.random.key(0), *arguments)
+        shapes = jax.eval_shape(
+            EncoderDecoder(config).init, jax.random.key(0), *arguments
+        )
         return sum(x.size for x in jax.tree.leaves(shapes))
 
     official = ModelConfig.released()

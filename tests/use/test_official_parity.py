@@ -13,15 +13,16 @@ from unips_jax import estimate_normals
 from unips_jax.metrics import angular_error_deg
 from unips_jax.models import ops
 from unips_jax.models.encoding import communicate
-from unips_jax.models.network import Network, read_contexts
+from unips_jax.models.network import EncoderDecoder, read_contexts
 from unips_jax.models.released import from_official, official_name
-from unips_jax.training.loss import training_loss
+from unips_jax.training.loss import LossOptions, Objects, training_loss
 
 
 @pytest.fixture(scope="module")
 def official():
-    config, params = from_official(official_arrays())
-    return dataclasses.replace(config, canonical_size=64), params
+    network = from_official(official_arrays())
+    config = dataclasses.replace(network.config, canonical_size=64)
+    return dataclasses.replace(network, config=config)
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +34,8 @@ def golden():
 @pytest.fixture(scope="module")
 def computed(official, golden):
     """Every intermediate array, by the golden file's names."""
-    config, params = official
-    network = Network(config)
+    config, params = official.config, official.params
+    network = EncoderDecoder(config)
 
     @jax.jit
     def encode(params, images, mask):
@@ -88,23 +89,19 @@ def test_predicted_rows_are_the_golden_normals(computed, golden):
 
 
 def test_normals_of_all_pixels(official, golden):
-    config, params = official
     images, mask = golden["images"], golden["mask"]
-    normals = estimate_normals(params, images, mask, config=config, frame="image")
+    normals = estimate_normals(official, images, mask, frame="image")
     error = angular_error_deg(normals[mask > 0], golden["normals"])
     assert np.max(error) <= 0.02
 
 
-def summed_loss(params, config, golden):
+def summed_loss(network, golden):
     """The loss as the authors sum it, over all masked pixels, without dropout."""
     loss, _ = training_loss(
-        params,
-        golden["images"],
-        golden["mask"] > 0,
-        golden["normals"],
+        network,
+        Objects(golden["images"], golden["mask"] > 0, golden["normals"]),
         jax.random.split(jax.random.key(0), len(golden["images"])),
-        config=config,
-        num_pixels=48 * 48,
+        LossOptions(num_pixels=48 * 48),
         deterministic=True,
     )
     return loss * len(golden["images"])
@@ -117,8 +114,7 @@ def golden_loss(shared_dir):
 
 
 def test_loss(official, golden_loss):
-    config, params = official
-    loss = jax.jit(lambda params: summed_loss(params, config, golden_loss))(params)
+    loss = jax.jit(lambda network: summed_loss(network, golden_loss))(official)
     np.testing.assert_allclose(loss, golden_loss["loss"], rtol=1e-4)
 
 
@@ -130,12 +126,10 @@ def test_gradients(official, golden_loss):
     activation next to a ReLU's kink. The norms of the key biases are rounding alone:
     a constant added to all keys drops out of the softmax.
     """
-    config, params = official
-    config = dataclasses.replace(config, remat=True)
-    gradient = jax.jit(
-        jax.grad(lambda params: summed_loss(params, config, golden_loss))
-    )
-    gradients = flatten_dict(gradient(params), sep=".")
+    config = dataclasses.replace(official.config, remat=True)
+    gradient = jax.jit(jax.grad(lambda network: summed_loss(network, golden_loss)))
+    found = gradient(dataclasses.replace(official, config=config))
+    gradients = flatten_dict(found.params, sep=".")
     loose = 0
     for key, norm in zip(
         golden_loss["grad_names"], golden_loss["grad_norms"], strict=True

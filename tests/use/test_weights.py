@@ -9,16 +9,17 @@ import pytest
 from flax.traverse_util import flatten_dict
 from safetensors import safe_open
 from safetensors.numpy import save_file
-from small_networks import SMALL, lively_weights
+from small_networks import SMALL, lively_network, lively_weights
 
 from unips_jax.errors import InputError
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import to_json
+from unips_jax.models.network import UniversalNetwork
 from unips_jax.models.released import from_official, official_name
 from unips_jax.weights import (
     load_weights,
-    params_hash,
     save_weights,
+    weights_hash,
     weights_record,
 )
 
@@ -26,28 +27,29 @@ from unips_jax.weights import (
 def test_round_trip(tmp_path):
     params = lively_weights()
     path = tmp_path / "small.safetensors"
-    save_weights(path, SMALL, params, record={"score": 9.5})
-    config, loaded = load_weights(path)
-    assert config == SMALL
-    expected, actual = flatten_dict(params), flatten_dict(loaded)
+    network = UniversalNetwork(SMALL, params)
+    save_weights(path, network, record={"score": 9.5})
+    loaded = load_weights(path)
+    assert loaded.config == SMALL
+    expected, actual = flatten_dict(params), flatten_dict(loaded.params)
     assert set(expected) == set(actual)
     for name, value in expected.items():
         np.testing.assert_array_equal(actual[name], value)
     record = weights_record(path)
     assert record["score"] == 9.5
-    assert record["hash"] == params_hash(SMALL, params)
+    assert record["hash"] == weights_hash(network)
     assert [p.name for p in tmp_path.iterdir()] == ["small.safetensors"]
 
 
 def test_shipped_weights_are_those_of_tiny():
-    assert load_weights("tiny")[0] == ModelConfig.tiny()
+    assert load_weights("tiny").config == ModelConfig.tiny()
 
 
 def test_half_precision_is_float32_in_memory(tmp_path):
     params = lively_weights()
     path = tmp_path / "half.safetensors"
-    save_weights(path, SMALL, params, half=True)
-    _, loaded = load_weights(path)
+    save_weights(path, UniversalNetwork(SMALL, params), half=True)
+    loaded = load_weights(path).params
     for name, value in flatten_dict(params).items():
         actual = flatten_dict(loaded)[name]
         assert actual.dtype == np.float32
@@ -73,7 +75,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
     path = tmp_path / "small.safetensors"
     path.mkdir()
     with pytest.raises(InputError, match=r"small\.safetensors: expected a place"):
-        save_weights(path, SMALL, {})
+        save_weights(path, UniversalNetwork(SMALL, {}))
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -83,7 +85,7 @@ def test_all_problems_are_named_at_once(tmp_path):
     params["decoder.prediction.fc2.bias"] = np.zeros(4)
     params["decoder.prediction.fc9.bias"] = np.zeros(4)
     path = tmp_path / "wrong.safetensors"
-    save_weights(path, SMALL, params)
+    save_weights(path, UniversalNetwork(SMALL, params))
     with pytest.raises(InputError) as raised:
         load_weights(path)
     for name in (
@@ -131,13 +133,13 @@ def test_equal_parameters_are_equal_bytes(tmp_path):
     for file in files:
         order = params if file is files[0] else turned
         record = {"b": 2, "a": 1} if file is files[0] else {"a": 1, "b": 2}
-        save_weights(file, SMALL, order, record=record)
+        save_weights(file, UniversalNetwork(SMALL, order), record=record)
     assert len({file.read_bytes() for file in files}) == 1
 
 
 def test_every_flipped_bit_is_found(tmp_path):
     path = tmp_path / "small.safetensors"
-    save_weights(path, SMALL, lively_weights(), half=True)
+    save_weights(path, lively_network(), half=True)
     data = path.read_bytes()
     start = 8 + int.from_bytes(data[:8], "little")
     for place in (start, (start + len(data)) // 2, len(data) - 1):
@@ -156,7 +158,7 @@ def test_parameters_that_are_not_finite_are_refused(tmp_path, value):
     params = lively_weights()
     kernel = params["decoder"]["prediction"]["fc2"]["kernel"]
     params["decoder"]["prediction"]["fc2"]["kernel"] = kernel.at[0, 0].set(value)
-    save_weights(tmp_path / "bad.safetensors", SMALL, params)
+    save_weights(tmp_path / "bad.safetensors", UniversalNetwork(SMALL, params))
     with pytest.raises(InputError, match=r"decoder\.prediction\.fc2\.kernel: .*NaN or"):
         load_weights(tmp_path / "bad.safetensors")
 
@@ -182,7 +184,7 @@ SIZES = json.loads(to_json(SMALL))
 )
 def test_hostile_metadata_takes_one_line_and_no_memory(tmp_path, config, message):
     path = tmp_path / "hostile.safetensors"
-    save_weights(path, SMALL, lively_weights())
+    save_weights(path, lively_network())
     rewritten(path, config=config)
     tracemalloc.start()
     with pytest.raises(InputError, match=message) as raised:
@@ -197,6 +199,6 @@ def test_hostile_metadata_takes_one_line_and_no_memory(tmp_path, config, message
 @pytest.mark.parametrize("record", ["[", "[]", "[" * 10**6, "3"])
 def test_hostile_records_take_one_line(tmp_path, record):
     path = tmp_path / "hostile.safetensors"
-    save_weights(path, SMALL, lively_weights())
+    save_weights(path, lively_network())
     with pytest.raises(InputError, match="expected a JSON object"):
         weights_record(rewritten(path, record=record))

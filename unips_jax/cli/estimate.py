@@ -19,7 +19,7 @@ from unips_jax.cli.cluster import RayOptions, spread
 from unips_jax.console import command, parse, reason_of, start_jax
 from unips_jax.errors import InputError
 from unips_jax.estimation.folders import (
-    Network,
+    NamedNetwork,
     estimate_folder,
     load_network,
     random_network,
@@ -98,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     _report(failed, targets, options.output)
 
 
-def _network(options: Options) -> Network:
+def _network(options: Options) -> NamedNetwork:
     if options.random_weights:
         return random_network(options.how.seed)
     return load_network(options.weights)

@@ -46,11 +46,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     source = weights_path(options.weights)
     check_target(options.output, source.parent, record=RECORD)
     start_jax()
-    config, params = load_weights(options.weights)
     record = write_export(
         options.output,
-        config,
-        params,
+        load_weights(options.weights),
         format=options.format,
         name=options.weights,
         half=options.half,

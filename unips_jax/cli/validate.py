@@ -27,7 +27,6 @@ class Options:
 
     Attributes:
         weights: shipped weights or a .safetensors file.
-        maps: score the error and the materials that the network tells, on scenes.
         scenes: how many scenes.
         images: numbers of images per scene; each is a column.
         size: side of the images in pixels, a multiple of 4.
@@ -38,7 +37,6 @@ class Options:
     """
 
     weights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tiny"
-    maps: bool = False
     scenes: int = 256
     images: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N ...]")] = (8,)
     size: int = 128
@@ -58,12 +56,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     if least < 1:
         raise InputError(f"--scenes, --images: expected at least 1, got {least}")
     start_jax()
-    if options.maps:
-        return _validate_maps(options)
     from unips_jax.training.validation import validate
     from unips_jax.weights import load_weights
 
-    model, params = load_weights(options.weights)
+    network = load_weights(options.weights)
     kinds = {
         "light_kind": (LIGHT_KINDS, options.light),
         "material": (MATERIALS, options.material),
@@ -73,8 +69,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     columns: dict[int, dict[str, float]] = {}
     for num_images in dict.fromkeys(options.images):
         scores = validate(
-            params,
-            model,
+            network,
             SceneConfig(),
             count=options.scenes,
             num_images=num_images,
@@ -88,47 +83,6 @@ def main(argv: Sequence[str] | None = None) -> None:
             print(json.dumps({"images": num_images, **rounded}), flush=True)
     if not options.json:
         _print(options, columns)
-
-
-def _validate_maps(options: Options) -> None:
-    from unips_jax.training.map_scores import EDGES, score_maps
-    from unips_jax.weights import load_weights
-
-    model, params = load_weights(options.weights)
-    if not model.has_maps:
-        raise InputError(
-            f"--maps, --weights {options.weights}: expected a network with heads, "
-            "got one without"
-        )
-    for num_images in dict.fromkeys(options.images):
-        found = score_maps(
-            params,
-            model,
-            SceneConfig(),
-            count=options.scenes,
-            num_images=num_images,
-            size=options.size,
-        )
-        if options.json:
-            print(json.dumps({"images": num_images, **found}), flush=True)
-            continue
-        said = [f"{a:.0f} to {b:.0f}" for a, b in zip(EDGES, EDGES[1:], strict=False)]
-        rows = zip([*said, "all"], *found.pop("calibration").values(), strict=True)
-        print_table(
-            "degrees below which nine errors in ten are to be, "
-            f"{options.scenes} held-out scenes, {num_images} images",
-            ["said", "% of pixels", "% of them right", "nine in ten are below"],
-            [[name, *(f"{value:.1f}" for value in row)] for name, *row in rows],
-        )
-        print_table(
-            "mean angular error of the most certain pixels; materials beside floors",
-            ["", "figure"],
-            [
-                [f"{group}: {name}", f"{value:.2f}"]
-                for group, figures in found.items()
-                for name, value in figures.items()
-            ],
-        )
 
 
 def _print(options: Options, columns: dict[int, dict[str, float]]) -> None:

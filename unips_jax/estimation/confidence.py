@@ -8,24 +8,22 @@ halves share. What errors go with it: docs/lights.md.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.estimation.frame import FrameKind
 from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.io.color import Transfer
-from unips_jax.models.config import ModelConfig
+from unips_jax.models.network import UniversalNetwork
+from unips_jax.models.views import FrameKind
 
 
 def normal_spread(
-    params: Any,
+    network: UniversalNetwork,
     images: np.ndarray,
     mask: np.ndarray,
     normals: np.ndarray,
     *,
-    config: ModelConfig,
     transfer: Transfer = "linear",
     frame: FrameKind = "mask",
     splits: int = 2,
@@ -37,11 +35,10 @@ def normal_spread(
     Costs twice what the estimate costs.
 
     Args:
-        params: the network's parameters.
+        network: from `load_weights`.
         images: `[N, H, W, 3]`, uint8, uint16 or float32.
         mask: `[H, W]`, bool.
         normals: `[H, W, 3]`, the estimate from all photographs.
-        config: the network's configuration.
         transfer: how values encode light.
         frame: see `estimate_normals`.
         splits: how often the photographs are halved.
@@ -71,10 +68,9 @@ def normal_spread(
                 progress(before + done, len(halves) * pixels)
 
         found = estimate_photographs(
-            params,
+            network,
             images[half][:, :, ::step],
             mask[:, ::step],
-            config=config,
             transfer=transfer,
             frame=frame,
             progress=report,

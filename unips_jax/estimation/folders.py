@@ -11,14 +11,14 @@ import functools
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from unips_jax.capture.unpack import KEYFRAMES, is_container, unpacked
 from unips_jax.console import progress
 from unips_jax.errors import InputError
-from unips_jax.estimation.beyond import look_beyond
+from unips_jax.estimation.extras import estimate_extras
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.reading import chosen_photographs, dark_file, read_and_look
 from unips_jax.estimation.writing import Estimate, write_estimate
@@ -36,12 +36,15 @@ from unips_jax.models.config import ModelConfig
 from unips_jax.provenance import code_hash
 from unips_jax.surface.outputs import focal_of
 
+if TYPE_CHECKING:  # JAX is imported when there is something to estimate
+    from unips_jax.models.network import UniversalNetwork
+
 Progress = Callable[[int, int], None]
 
 # What the results follow from, beside photographs, weights and options.
 _CODE = (
     "estimation.streaming",
-    "estimation.beyond",
+    "estimation.extras",
     "estimation.reading",
     "estimation.writing",
     "io.photographs",
@@ -54,21 +57,19 @@ _CODE = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Network:
+class NamedNetwork:
     """A network, and what the record says of it.
 
     Attributes:
-        config: its configuration.
-        params: its parameters.
-        record: their name, hash and whether they are trained.
+        network: configuration and parameters.
+        record: its name, hash and whether it is trained.
     """
 
-    config: ModelConfig
-    params: Any
+    network: "UniversalNetwork"
     record: dict[str, Any]
 
 
-def load_network(source: str = "tiny") -> Network:
+def load_network(source: str = "tiny") -> NamedNetwork:
     """Loads weights.
 
     Args:
@@ -79,11 +80,10 @@ def load_network(source: str = "tiny") -> Network:
     """
     from unips_jax import weights
 
-    config, params = weights.load_weights(source)
-    return _network(config, params, source, trained=True)
+    return _named(weights.load_weights(source), source, trained=True)
 
 
-def random_network(seed: int = 0) -> Network:
+def random_network(seed: int = 0) -> NamedNetwork:
     """An untrained network of the paper's size, for tests.
 
     Args:
@@ -91,15 +91,14 @@ def random_network(seed: int = 0) -> Network:
     """
     from unips_jax import weights
 
-    config = ModelConfig.paper()
-    params = weights.random_weights(config, seed=seed)
-    return _network(config, params, f"random, seed {seed}", trained=False)
+    network = weights.random_weights(ModelConfig.paper(), seed=seed)
+    return _named(network, f"random, seed {seed}", trained=False)
 
 
 def estimate_folder(
     folder: Path,
     target: Path,
-    network: Network,
+    network: NamedNetwork,
     options: FolderOptions | None = None,
     *,
     overwrite: bool = False,
@@ -150,7 +149,7 @@ def estimate_folder(
 def _estimate(
     folder: Path,
     target: Path,
-    network: Network,
+    network: NamedNetwork,
     options: FolderOptions,
     overwrite: bool,
     verbose: bool,
@@ -177,7 +176,7 @@ def _estimate(
 
 def estimate_selection(
     selection: Selection,
-    network: Network,
+    network: NamedNetwork,
     options: FolderOptions,
     *,
     verbose: bool = False,
@@ -195,7 +194,7 @@ def estimate_selection(
     Raises:
         InputError: if a file cannot be read or used, or a normal is not finite.
     """
-    from unips_jax.estimation.streaming import estimate_photographs
+    from unips_jax.estimation.streaming import estimate_with_lights
 
     if verbose:
         print_selection(selection)
@@ -214,20 +213,19 @@ def estimate_selection(
         for warning in warnings:
             print(f"warning: {selection.folder}: {warning}", file=sys.stderr)
     estimate = functools.partial(
-        estimate_photographs,
-        network.params,
+        estimate_with_lights,
+        network.network,
         images,
         mask,
-        config=network.config,
         transfer=transfer,
-        frame="image" if options.reader == "official" else "mask",
+        frame=options.frame,
     )
     if verbose:
         with progress("estimating normals") as report:
-            normals = estimate(progress=report)
+            found = estimate(progress=report)
     else:
-        normals = estimate(progress=on_progress)
-    bad = np.count_nonzero(~np.isfinite(normals).all(axis=-1))
+        found = estimate(progress=on_progress)
+    bad = np.count_nonzero(~np.isfinite(found.normals).all(axis=-1))
     if bad:
         raise InputError(
             f"{selection.folder}: expected normals, got values that are not finite at "
@@ -235,27 +233,26 @@ def estimate_selection(
             "extreme values in the photographs, or try other weights"
         )
     look = functools.partial(
-        look_beyond,
-        *(network.config, network.params, images, mask, normals, transfer, options),
+        estimate_extras, network.network, images, mask, found, transfer, options
     )
     if verbose and options.confidence:
         with progress("estimating confidence") as report:
-            beyond = look(progress=report)
+            extras = look(progress=report)
     else:
-        beyond = look()
-    return Estimate(images, mask, transfer, normals, record, focal, beyond)
+        extras = look()
+    return Estimate(images, mask, transfer, found.normals, record, focal, extras)
 
 
-def _network(config: ModelConfig, params: Any, name: str, *, trained: bool) -> Network:
-    from unips_jax.weights import params_hash
+def _named(network: "UniversalNetwork", name: str, *, trained: bool) -> NamedNetwork:
+    from unips_jax.weights import weights_hash
 
-    digest = params_hash(config, params)
-    return Network(config, params, {"name": name, "hash": digest, "trained": trained})
+    record = {"name": name, "hash": weights_hash(network), "trained": trained}
+    return NamedNetwork(network, record)
 
 
 def _input_record(
     selection: Selection,
-    network: Network,
+    network: NamedNetwork,
     options: FolderOptions,
     reader: HashingReader,
 ) -> dict[str, Any]:

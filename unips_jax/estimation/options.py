@@ -1,4 +1,4 @@
-"""What `estimate_folder` may be told."""
+"""The options of `estimate_folder`."""
 
 import dataclasses
 from pathlib import Path
@@ -79,6 +79,11 @@ class FolderOptions:
     all: bool = False
     view: bool = False
     focal: str | None = None
+
+    @property
+    def frame(self) -> Literal["image", "mask"]:
+        """What the encoder's square surrounds."""
+        return "image" if self.reader == "official" else "mask"
 
     def spelled_out(self) -> "FolderOptions":
         """The same options with what `all` stands for."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax.estimation.beyond import Beyond, write_beyond
+from unips_jax.estimation.extras import Extras, write_extras
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import write_image
@@ -30,7 +30,7 @@ class Estimate:
         record: the content of `normals.json`, less the files' hashes.
         focal: in pixels, if there is a depth to write and its camera is not
             orthographic.
-        beyond: lights and confidence, where they are wanted.
+        extras: lights and confidence, where they are wanted.
     """
 
     images: np.ndarray
@@ -39,7 +39,7 @@ class Estimate:
     normals: np.ndarray
     record: dict[str, Any]
     focal: float | None = None
-    beyond: Beyond = Beyond()
+    extras: Extras = Extras()
 
 
 def write_estimate(
@@ -104,9 +104,15 @@ def write_estimate(
             )
             if verbose:
                 print_surface(record["surface"])
-        record |= write_beyond(
-            *(place, estimate.beyond, estimate.images, estimate.mask),
-            *(estimate.normals, estimate.transfer, list(record["images"]), options),
+        record |= write_extras(
+            place,
+            estimate.extras,
+            estimate.images,
+            estimate.mask,
+            estimate.normals,
+            estimate.transfer,
+            list(record["images"]),
+            options,
         )
         if options.view:
             _write_view(place, target.name, estimate, record)

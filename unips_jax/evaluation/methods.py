@@ -17,7 +17,7 @@ import re
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from typeguard import TypeCheckError, check_type
@@ -25,8 +25,10 @@ from typeguard import TypeCheckError, check_type
 from unips_jax.baselines.method import Method, Observed
 from unips_jax.errors import InputError
 from unips_jax.evaluation.registry import BASELINES, CLASSICAL, NAMES
-from unips_jax.models.config import ModelConfig
 from unips_jax.provenance import code_hash
+
+if TYPE_CHECKING:
+    from unips_jax.models.network import UniversalNetwork
 
 
 class Variant(NamedTuple):
@@ -216,12 +218,12 @@ def _file_hash(value: Any) -> Any:
 
 
 def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
-    from unips_jax.weights import load_weights, params_hash
+    from unips_jax.weights import load_weights, weights_hash
 
     several = len(unips.weights) > 1
     for source in unips.weights:
-        config, params = load_weights(source)
-        weights = params_hash(config, params)
+        network = load_weights(source)
+        config, weights = network.config, weights_hash(network)
         base = f"unips {Path(source).stem}" if several else "unips"
         sizes = list(unips.canonical_sizes) or [config.canonical_size]
         for size in sizes:
@@ -238,21 +240,20 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
                         **{"method": "unips", "options": options, "weights": weights},
                         "method_code": code_hash("estimation.streaming"),
                     },
-                    _unips(params, sized, uniform),
+                    _unips(dataclasses.replace(network, config=sized), uniform),
                     f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "
                     f"hash {weights}",
                 )
 
 
-def _unips(params: Any, config: ModelConfig, uniform_contexts: bool) -> Method:
+def _unips(network: "UniversalNetwork", uniform_contexts: bool) -> Method:
     from unips_jax.estimation.streaming import estimate_photographs
 
     def method(observed: Observed) -> np.ndarray:
         return estimate_photographs(
-            params,
+            network,
             observed.images,
             observed.mask,
-            config=config,
             uniform_contexts=uniform_contexts,
         )
 

@@ -7,7 +7,6 @@ inside. See docs/export.md.
 """
 
 import dataclasses
-import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -19,14 +18,15 @@ import numpy as np
 from jax import export
 
 from unips_jax.errors import InputError
-from unips_jax.export.functions import decode_pixels, encode_set, estimate
+from unips_jax.estimation.pure import estimate_normals
+from unips_jax.export.functions import decode_pixels, encode_set
 from unips_jax.io.results import appearing_at_once, file_hash
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import to_json
-from unips_jax.weights import params_hash
+from unips_jax.models.network import UniversalNetwork
+from unips_jax.weights import weights_hash
 
 Format = Literal["onnx", "stablehlo"]
-Params = Any
 
 RECORD = "export.json"
 # Of the files' inputs and outputs; a change that breaks what loads them raises it.
@@ -48,14 +48,12 @@ _OUTPUTS = {
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "encoder": encode_set,
     "decoder": decode_pixels,
-    "estimate": estimate,
 }
 
 
 def write_export(
     target: Path,
-    config: ModelConfig,
-    params: Params,
+    network: UniversalNetwork,
     *,
     format: Format,
     name: str,
@@ -65,8 +63,7 @@ def write_export(
 
     Args:
         target: folder for the files.
-        config: the network's configuration; what is written computes in float32.
-        params: its parameters.
+        network: configuration and parameters; what is written computes in float32.
         format: of the files.
         name: of the weights, for the record.
         half: round parameters to half precision first. Those that it holds exactly, as
@@ -78,20 +75,21 @@ def write_export(
     Raises:
         InputError: if a package is missing, or the file system refuses.
     """
-    config = dataclasses.replace(config, dtype="float32", remat=False)
+    config = dataclasses.replace(network.config, dtype="float32", remat=False)
+    network = dataclasses.replace(network, config=config)
     if half:
-        params = jax.tree.map(lambda x: np.asarray(x, np.float16), params)
-    params = jax.tree.map(lambda x: np.asarray(x, np.float32), params)
+        network = jax.tree.map(lambda x: np.asarray(x, np.float16), network)
+    network = jax.tree.map(lambda x: np.asarray(x, np.float32), network)
     record = {
         "format": format,
         "version": VERSION,
-        "weights": {"name": name, "hash": params_hash(config, params)},
+        "weights": {"name": name, "hash": weights_hash(network)},
         "config": json.loads(to_json(config)),
         **_versions(),
     }
     write = write_onnx if format == "onnx" else write_stablehlo
     with appearing_at_once(target, record=RECORD) as place:
-        write(place, config, params, record)
+        write(place, network, record)
         files = {file.name: file_hash(file) for file in sorted(place.iterdir())}
         record["files"] = files
         text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
@@ -99,15 +97,12 @@ def write_export(
     return record
 
 
-def write_onnx(
-    folder: Path, config: ModelConfig, params: Params, record: dict[str, Any]
-) -> None:
+def write_onnx(folder: Path, network: UniversalNetwork, record: dict[str, Any]) -> None:
     """Writes `encoder.onnx` and `decoder.onnx`.
 
     Args:
         folder: where; it exists.
-        config: the network's configuration.
-        params: its parameters, NumPy arrays.
+        network: its parameters are NumPy arrays.
         record: becomes the files' metadata.
 
     Raises:
@@ -120,13 +115,12 @@ def write_onnx(
     except ImportError as error:
         raise _missing("onnx", error) from error
     for name in ("encoder", "decoder"):
-        shapes = _shapes(config)
+        shapes = _shapes(network.config)
         arguments = {key: shapes[key] for key in _INPUTS[name]}
-        function = functools.partial(_FUNCTIONS[name], config=config)
-        traced = jax.make_jaxpr(function)(params, *arguments.values())
+        traced = jax.make_jaxpr(_FUNCTIONS[name])(network, *arguments.values())
         graph = Graph()
         inputs = [graph.input(key, shape) for key, shape in arguments.items()]
-        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(params)]
+        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(network)]
         values = graph.add_jaxpr(traced.jaxpr, traced.consts, [*leaves, *inputs])
         outputs = {
             key: graph.whole(value, aval.shape)
@@ -141,29 +135,28 @@ def write_onnx(
 
 
 def write_stablehlo(
-    folder: Path, config: ModelConfig, params: Params, record: dict[str, Any]
+    folder: Path, network: UniversalNetwork, record: dict[str, Any]
 ) -> None:
     """Writes `estimate.stablehlo`, as `jax.export` serialises a function.
 
     Args:
         folder: where; it exists.
-        config: the network's configuration.
-        params: its parameters, NumPy arrays.
+        network: its parameters are NumPy arrays.
         record: not inside the file; for the signature's sake.
 
     Raises:
         InputError: if flatbuffers is not installed.
     """
-    shapes = _shapes(config)
+    shapes = _shapes(network.config)
     arguments = [shapes[key] for key in _INPUTS["estimate"]]
-    stored = jax.tree.map(_in_half, params)
+    stored = jax.tree.map(_in_half, network)
 
     def unips_estimate(images: jax.Array, mask: jax.Array) -> jax.Array:
         # `jnp.asarray` would convert them here, and double the file.
         inside = jax.tree.map(
             lambda x: jax.lax.convert_element_type(x, jnp.float32), stored
         )
-        return estimate(inside, images, mask, config=config)
+        return estimate_normals(inside, images, mask)
 
     exported = export.export(jax.jit(unips_estimate), platforms=PLATFORMS)(*arguments)
     try:

@@ -87,7 +87,7 @@ def read_photographs(
     """Reads the photographs of an object, one at a time, and its mask.
 
     `images, mask, transfer = read_photographs("folder/")` gives what
-    `estimate_photographs(params, images, mask, transfer=transfer, config=config)`
+    `estimate_photographs(network, images, mask, transfer=transfer)`
     takes.
 
     Args:

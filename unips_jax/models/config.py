@@ -171,11 +171,6 @@ class ModelConfig:
         """Whether a pixel reads the contexts at its corner, with zeros around them."""
         return False
 
-    @property
-    def has_maps(self) -> bool:
-        """Whether the network also tells its error and the material."""
-        return False
-
     @staticmethod
     def paper() -> "UniPSConfig":
         """The paper's network: 72 M parameters."""
@@ -286,8 +281,6 @@ class SelfCalibratingConfig(ModelConfig):
         consensus_dim: their width, a multiple of 32.
         observation_dim: width of the embedding of a pixel's observations, that scales
             and shifts its contexts.
-        head_dim: width of the heads that tell the normals' error and the material (see
-            `models.heads`); 0: there are none.
     """
 
     antialias: ClassVar[bool] = True
@@ -299,7 +292,6 @@ class SelfCalibratingConfig(ModelConfig):
     consensus_blocks: int = 6
     consensus_dim: int = 256
     observation_dim: int = 128
-    head_dim: int = 0
 
     def __post_init__(self) -> None:
         """Checks every field.
@@ -310,8 +302,7 @@ class SelfCalibratingConfig(ModelConfig):
         super().__post_init__()
         widths = ("ratio_dim", "consensus_dim", "observation_dim")
         require_positive(self, *widths, "consensus_blocks")
-        require_not_negative(self, "head_dim")
-        require_at_most(self, 2**14, *widths, "head_dim")
+        require_at_most(self, 2**14, *widths)
         require_at_most(self, 100, "consensus_blocks")
         require(
             self.consensus_dim % 32 == 0,
@@ -322,11 +313,6 @@ class SelfCalibratingConfig(ModelConfig):
     def num_blocks(self) -> int:
         """Transformer blocks of which the configuration says how many there are."""
         return super().num_blocks + self.consensus_blocks
-
-    @property
-    def has_maps(self) -> bool:
-        """Whether the network also tells its error and the material."""
-        return self.head_dim > 0
 
 
 NETWORKS = {"unips": UniPSConfig, "self_calibrating": SelfCalibratingConfig}

@@ -52,6 +52,8 @@ class Aggregation(nn.Module):
         """
         config = self.config
         dtype = jnp.dtype(config.dtype)
+        # One pixel's observations may go with the contexts of several views.
+        pixels = jnp.broadcast_to(pixels, (*contexts.shape[:-1], pixels.shape[-1]))
         sets = jnp.concatenate([pixels.astype(dtype), contexts.astype(dtype)], axis=-1)
         block = nn.remat(SAB, static_argnums=(3,)) if config.remat else SAB
         for i in range(config.aggregation_layers):

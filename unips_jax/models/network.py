@@ -1,28 +1,51 @@
-"""The one face of both networks: encode a set of images, read contexts, decode pixels.
+"""A network, and its one pass: encode a set of images, decode pixels.
 
-What estimates or trains goes through here, and need not know which network it has.
+What estimates, exports or trains goes through here, and need not know which network it
+has.
 """
 
-from typing import Any
+import dataclasses
+import functools
+from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax.traverse_util import flatten_dict
 from jax import Array
 
 from unips_jax.errors import InputError
 from unips_jax.models import ops, self_calibrating, unips
 from unips_jax.models.config import ModelConfig, SelfCalibratingConfig
-from unips_jax.models.encoding import Encoded, Pieces, whole
-from unips_jax.models.heads import Heads, Maps
+from unips_jax.models.encoding import Encoded, Guesses, Pieces, whole
+from unips_jax.models.views import Frame, Views, context_cells
+
+Params = dict[str, Any]
 
 
-class Network(nn.Module):
-    """Either network, as its configuration says.
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["params"], meta_fields=["config"]
+)
+@dataclasses.dataclass(frozen=True, eq=False)
+class UniversalNetwork:
+    """A network: its configuration and its parameters.
 
-    Its parameters have two halves, "encoder" and "decoder"; `encode` needs only the one
-    and `decode` the other. `decode_maps` also needs "heads", if it has them.
+    A pytree whose leaves are the parameters; the configuration is static. So it can be
+    an argument of functions under `jit`, `grad` and `vmap`, and a gradient with respect
+    to it is a `UniversalNetwork` again.
+
+    Attributes:
+        config: which network, and its sizes.
+        params: nested dictionaries of float32 arrays, "encoder" and "decoder".
+    """
+
+    config: ModelConfig
+    params: Any
+
+
+class EncoderDecoder(nn.Module):
+    """The Flax module of either network, as its configuration says.
 
     Attributes:
         config: the network's configuration.
@@ -31,13 +54,11 @@ class Network(nn.Module):
     config: ModelConfig
 
     def setup(self) -> None:
-        """Makes the halves, and the heads if there are any."""
+        """Makes the halves."""
         ours = isinstance(self.config, SelfCalibratingConfig)
         network: Any = self_calibrating if ours else unips
         self.encoder = network.Encoder(self.config)
         self.decoder = network.Decoder(self.config)
-        if isinstance(self.config, SelfCalibratingConfig) and self.config.has_maps:
-            self.heads = Heads(self.config.head_dim, jnp.dtype(self.config.dtype))
 
     def encode(
         self,
@@ -48,15 +69,7 @@ class Network(nn.Module):
         by_image: Pieces = whole,
         by_place: Pieces = whole,
     ) -> Encoded:
-        """Computes the contexts of sets of images, and guesses if the network has them.
-
-        Args:
-            images: `[..., N, s, s, 4]`, of canonical size: normalised RGB and mask.
-            valid: `[N]`, bool, or None where all images count.
-            deterministic: no dropout.
-            by_image: how to run what treats every image alone (see `models.encoding`).
-            by_place: how to run what treats every place of the maps alone.
-        """
+        """Contexts of sets of images `[..., N, s, s, 4]`; see `encode`."""
         return self.encoder(
             images, valid, deterministic, by_image=by_image, by_place=by_place
         )
@@ -68,36 +81,8 @@ class Network(nn.Module):
         valid: Array | None = None,
         deterministic: bool = True,
     ) -> Array:
-        """Predicts the normals of pixels from their sets.
-
-        Args:
-            pixels: `[..., N, 3]`, normalised RGB.
-            contexts: `[..., N, context_dim]`, from `read_contexts`.
-            valid: `[N]`, bool, or None.
-            deterministic: no dropout.
-
-        Returns:
-            Unit normals, `[..., 3]`, float32.
-        """
-        normals, _ = self.decoder(pixels, contexts, valid, deterministic)
-        return normals
-
-    def decode_maps(
-        self,
-        pixels: Array,
-        contexts: Array,
-        valid: Array | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Array, Maps]:
-        """Predicts normals, and what else is said of pixels; arguments as in `decode`.
-
-        Only for networks that have heads (`ModelConfig.has_maps`).
-
-        Returns:
-            Unit normals, `[..., 3]`, float32, as from `decode`, and the maps.
-        """
-        normals, features = self.decoder(pixels, contexts, valid, deterministic)
-        return normals, self.heads(features, pixels, valid)
+        """Unit normals `[..., 3]` of sets; see `decode_sets`."""
+        return self.decoder(pixels, contexts, valid, deterministic)
 
     def __call__(
         self,
@@ -108,25 +93,159 @@ class Network(nn.Module):
         valid: Array | None = None,
         deterministic: bool = True,
     ) -> Array:
-        """Predicts the normals of some pixels of one object.
-
-        Args:
-            images: `[N, s, s, 4]`, see `encode`.
-            pixels: `[P, N, 3]`, normalised RGB at the pixels.
-            rows: `[P]`, the pixels' rows in cells of the contexts' grid.
-            columns: `[P]`, likewise.
-            valid: `[N]`, bool, or None.
-            deterministic: no dropout.
-
-        Returns:
-            Unit normals, `[P, 3]`.
-        """
+        """Normals `[P, 3]` of pixels `[P, N, 3]` of one view `[N, s, s, 4]`."""
         contexts = self.encode(images, valid, deterministic).contexts
         read = read_contexts(contexts, rows, columns, config=self.config)
-        sets = pixels, jnp.swapaxes(read, 0, 1), valid, deterministic
-        if self.is_initializing() and self.config.has_maps:
-            return self.decode_maps(*sets)[0]
-        return self.decode(*sets)
+        return self.decode(pixels, jnp.swapaxes(read, 0, 1), valid, deterministic)
+
+
+class Encoding(NamedTuple):
+    """What V views of an object are encoded to, for its pixels to be decoded with.
+
+    Attributes:
+        contexts: the global lighting contexts, `[V, N, s/4, s/4, context_dim]`.
+        frame: see `Views`, as of `width`.
+        width: columns of the image.
+        guesses: coarse normals and the lights of each view; None from a network that
+            makes none.
+    """
+
+    contexts: Array
+    frame: Frame
+    width: Array
+    guesses: Guesses | None = None
+
+
+def encode(
+    network: UniversalNetwork,
+    views: Views,
+    valid: Array | None = None,
+    *,
+    by_image: Pieces = whole,
+    by_place: Pieces = whole,
+    dropout: Array | None = None,
+) -> Encoding:
+    """Encodes views, of one object or of several.
+
+    Args:
+        network: needs its "encoder" alone.
+        views: `[V, N, s, s, 4]`; in training, V objects of one view each.
+        valid: `[N]`, bool: which images count; None: all.
+        by_image: how to run what treats every image alone (see `models.encoding`).
+        by_place: how to run what treats every place of the maps alone.
+        dropout: a key, in training.
+    """
+    encoded: Any = EncoderDecoder(network.config).apply(
+        {"params": network.params},
+        views.images,
+        valid,
+        dropout is None,
+        by_image=by_image,
+        by_place=by_place,
+        rngs=None if dropout is None else {"dropout": dropout},
+        method="encode",
+    )
+    return Encoding(encoded.contexts, views.frame, views.width, encoded.guesses)
+
+
+def decode(
+    network: UniversalNetwork,
+    encoding: Encoding,
+    pixels: Array,
+    places: tuple[Array, Array],
+    valid: Array | None = None,
+) -> Array:
+    """Normals of an object's pixels, from their sets.
+
+    Args:
+        network: needs its "decoder" alone.
+        encoding: of the object, V views.
+        pixels: `[P, N, 3]`, normalised RGB.
+        places: rows and columns of the pixels in the image, `[P]` each.
+        valid: `[N]`, bool: which images count; None: all.
+
+    Returns:
+        Unit normals, `[P, 3]`; of two views the mean, mirrored back.
+    """
+    rows, columns = places
+    views = len(encoding.contexts)
+    read = []
+    for view in range(views):
+        frame = jax.tree.map(lambda x: x[view], encoding.frame)  # noqa: B023
+        across = encoding.width - 1 - columns if view == 1 else columns
+        cells = context_cells(rows, across, frame, network.config)
+        of_view = encoding.contexts[view]
+        read.append(read_contexts(of_view, *cells, config=network.config))
+    contexts = jnp.moveaxis(jnp.stack(read), 1, 2)  # [V, P, N, C]
+    normals = decode_sets(network, pixels[None], contexts, valid)
+    if views == 1:
+        return normals[0]
+    back = jnp.array([[-1, 1, 1]], normals.dtype)
+    return ops.normalize(normals[0] + normals[1] * back)
+
+
+def decode_sets(
+    network: UniversalNetwork,
+    pixels: Array,
+    contexts: Array,
+    valid: Array | None = None,
+    *,
+    dropout: Array | None = None,
+) -> Array:
+    """Normals of pixels whose contexts have been read.
+
+    Args:
+        network: needs its "decoder" alone.
+        pixels: `[..., N, 3]`, normalised RGB.
+        contexts: `[..., N, context_dim]`, from `read_contexts`.
+        valid: `[N]`, bool: which images count; None: all.
+        dropout: a key, in training.
+
+    Returns:
+        Unit normals, `[..., 3]`, float32.
+    """
+    decoded: Any = EncoderDecoder(network.config).apply(
+        {"params": network.params},
+        pixels,
+        contexts,
+        valid,
+        dropout is None,
+        rngs=None if dropout is None else {"dropout": dropout},
+        method="decode",
+    )
+    return decoded
+
+
+def with_uniform_contexts(encoding: Encoding, views: Views) -> Encoding:
+    """Replaces each image's contexts by their mean over the mask.
+
+    An ablation, to see what their spatial variation gives (UniPS, Table 5).
+    """
+    contexts = encoding.contexts
+    size = (contexts.shape[2], contexts.shape[3])
+    inside = ops.resize_mask_nearest(views.images[..., 3], size)[..., None]
+    inside = inside.astype(contexts.dtype)
+    total = jnp.sum(contexts * inside, axis=(2, 3), keepdims=True)
+    count = jnp.maximum(jnp.sum(inside, axis=(2, 3), keepdims=True), 1)
+    return encoding._replace(contexts=jnp.broadcast_to(total / count, contexts.shape))
+
+
+def guessed_lights(encoding: Encoding) -> Array | None:
+    """Mean directions of the images' lights, the mean over the views.
+
+    Args:
+        encoding: of one object.
+
+    Returns:
+        `[N, 3]`, weighted by power: about 1 long for one lamp, 0 for light that comes
+        equally from everywhere (see `scenes.Scene.light_means`). None where the network
+        makes no guesses.
+    """
+    if encoding.guesses is None:
+        return None
+    lights = encoding.guesses.lights  # [V, N, 3]
+    signs = np.array([[1, 1, 1], [-1, 1, 1]], lights.dtype)[: len(lights), None]
+    return (lights * signs).sum(axis=0) / len(lights)
 
 
 def read_contexts(
@@ -137,7 +256,7 @@ def read_contexts(
     Args:
         contexts: `[N, h, w, C]`.
         rows: `[P]`, in cells of the grid; 0 is the centre of the first cell.
-        columns: `[P]`, likewise.
+        columns: `[P]`, in cells.
         config: the network's configuration.
 
     Returns:
@@ -147,12 +266,12 @@ def read_contexts(
     return ops.bilinear_sample(contexts, rows, columns, zeros=zeros)
 
 
-def init_params(config: ModelConfig, key: Array) -> dict[str, Any]:
+def init_params(config: ModelConfig, key: Array) -> Params:
     """Initialises a network; pure, so that it can be jitted or shape-evaluated."""
     # No parameter depends on the images' size: the smallest costs least.
     images, pixels = jnp.zeros((1, 4, 4, 4)), jnp.zeros((1, 1, 3))
     places = jnp.zeros(1)
-    return Network(config).init(key, images, pixels, places, places)["params"]
+    return EncoderDecoder(config).init(key, images, pixels, places, places)["params"]
 
 
 def param_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:

@@ -6,15 +6,12 @@ they need is `ModelConfig.released()`.
 
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from flax.traverse_util import unflatten_dict
 
 from unips_jax.models.config import ModelConfig
-from unips_jax.models.network import param_shapes, raise_misfits
-
-Params = dict[str, Any]
+from unips_jax.models.network import UniversalNetwork, param_shapes, raise_misfits
 
 # The authors' names as patterns, each with the path of the parameter here. Tables of
 # (pattern, replacement); later entries see the results of earlier ones.
@@ -58,7 +55,7 @@ def official_name(key: str) -> str:
     return key
 
 
-def from_official(arrays: Mapping[str, np.ndarray]) -> tuple[ModelConfig, Params]:
+def from_official(arrays: Mapping[str, np.ndarray]) -> UniversalNetwork:
     """Converts the authors' parameters.
 
     Args:
@@ -67,7 +64,7 @@ def from_official(arrays: Mapping[str, np.ndarray]) -> tuple[ModelConfig, Params
             Linear weights are `[out, in]`, convolutions `[out, in, kh, kw]`.
 
     Returns:
-        The configuration they need, and the parameters.
+        The network, with the configuration they need.
 
     Raises:
         InputError: naming all missing, unexpected and misshapen keys at once.
@@ -88,7 +85,7 @@ def from_official(arrays: Mapping[str, np.ndarray]) -> tuple[ModelConfig, Params
         converted[name] = value.astype(np.float32)
     missing = sorted(set(expected) - set(converted))
     raise_misfits("official weights", missing, unexpected, misshapen)
-    return config, unflatten_dict(converted, sep=".")
+    return UniversalNetwork(config, unflatten_dict(converted, sep="."))
 
 
 def _from_torch_layout(name: str, array: np.ndarray) -> np.ndarray:

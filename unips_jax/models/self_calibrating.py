@@ -188,12 +188,8 @@ class Decoder(nn.Module):
         contexts: Array,
         valid: Array | None = None,
         deterministic: bool = True,
-    ) -> tuple[Array, Array]:
-        """Predicts unit normals `[..., 3]`; arguments as in `models.unips`.
-
-        Returns:
-            They, and what they were predicted from, `[..., hidden_dim]`.
-        """
+    ) -> Array:
+        """Predicts unit normals `[..., 3]`; arguments as in `models.unips`."""
         contexts = self.observation(pixels, contexts, valid)
         features = self.aggregation(pixels, contexts, valid, deterministic)
-        return ops.normalize(self.prediction(features)), features
+        return ops.normalize(self.prediction(features))

@@ -111,7 +111,7 @@ class Decoder(nn.Module):
         contexts: Array,
         valid: Array | None = None,
         deterministic: bool = True,
-    ) -> tuple[Array, Array]:
+    ) -> Array:
         """Predicts normals.
 
         Args:
@@ -121,8 +121,7 @@ class Decoder(nn.Module):
             deterministic: no dropout.
 
         Returns:
-            Unit normals, `[..., 3]`, float32, and what they were predicted from,
-            `[..., hidden_dim]`.
+            Unit normals, `[..., 3]`, float32.
         """
         features = self.aggregation(pixels, contexts, valid, deterministic)
-        return ops.normalize(self.prediction(features)), features
+        return ops.normalize(self.prediction(features))

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
@@ -83,9 +82,6 @@ def _scene_renderer(
         batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
         if config.model.guesses:  # others would be compiled for them in vain
             batch["lights"] = scene.light_means
-        if config.model.has_maps:
-            others = scene.roughness[..., None], scene.metallic[..., None]
-            batch["material"] = jnp.concatenate([scene.base_color, *others], axis=-1)
         return batch
 
     @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)

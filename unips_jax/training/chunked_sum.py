@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from unips_jax.estimation.chunks import join_chunks, split_chunks
+from unips_jax.models.chunks import join_chunks, split_chunks
 
 
 def chunked_sum(

@@ -97,8 +97,6 @@ class OptimConfig:
         b2: decay of the second moments.
         clip_norm: largest global norm of the gradient; 0: no clipping.
         ema_decay: of the averaged parameters that are validated and released; 0: none.
-        heads_rate: factor of the steps of a network's heads, which may be younger than
-            the rest.
     """
 
     name: Literal["adamw", "muon"] = "adamw"
@@ -112,12 +110,11 @@ class OptimConfig:
     b2: float = 0.999
     clip_norm: float = 1.0
     ema_decay: float = 0.999
-    heads_rate: float = 1.0
 
     def __post_init__(self) -> None:
         """Checks every field; `ValueError` names it."""
         check_types(self)
-        rates = ("learning_rate", "decay_every", "decay_rate", "heads_rate")
+        rates = ("learning_rate", "decay_every", "decay_rate")
         require_positive(self, *rates)
         require_not_negative(
             self, "warmup_steps", "fall_steps", "weight_decay", "clip_norm"
@@ -158,8 +155,6 @@ class TrainConfig:
         coarse_guess_weight: what the consensus' guess of coarse normals weighs in the
             loss, next to the normals' own distance.
         lights_guess_weight: what its guess of where the lights are weighs there.
-        heads_only: nothing but the heads of a network that has them is trained; the
-            rest stays as it was.
         log_every: steps between metric lines, each of their means since the one before.
         checkpoint_every: steps between checkpoints.
         keep: how many checkpoints are kept.
@@ -175,7 +170,6 @@ class TrainConfig:
     squared_loss: bool = True
     coarse_guess_weight: float = 0.5
     lights_guess_weight: float = 0.25
-    heads_only: bool = False
     log_every: int = 20
     checkpoint_every: int = 500
     keep: int = 2
@@ -212,11 +206,3 @@ class Config:
     optim: OptimConfig = OptimConfig()
     mesh: MeshConfig = MeshConfig()
     train: TrainConfig = TrainConfig()
-
-    def __post_init__(self) -> None:
-        """Checks what fields of different parts mean together."""
-        require(
-            self.model.has_maps or not self.train.heads_only,
-            "heads_only: expected a network with heads (--model.head-dim above 0), got "
-            "one without",
-        )

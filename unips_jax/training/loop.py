@@ -19,6 +19,7 @@ from jax.sharding import Mesh
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
 from unips_jax.models.config_json import to_json
+from unips_jax.models.network import UniversalNetwork
 from unips_jax.training.batches import make_batches
 from unips_jax.training.checkpoints import Checkpoints
 from unips_jax.training.compilation import (
@@ -137,8 +138,8 @@ def train(
             if due.stop:
                 say(f"stopped by SIGTERM after step {step}; checkpoint saved")
                 break
-    params = to_host(state.released_params())
-    _write_weights(workdir / "last.safetensors", config, params, int(state.step), {})
+    network = UniversalNetwork(config.model, to_host(state.released_params()))
+    _write_weights(workdir / "last.safetensors", config, network, int(state.step), {})
     return state
 
 
@@ -194,16 +195,13 @@ def _new_state(
 
 
 def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
-    model, params = load_weights(source)
-    run, own = dataclasses.asdict(config.model), dataclasses.asdict(model)
+    network = load_weights(source)
+    run, own = dataclasses.asdict(config.model), dataclasses.asdict(network.config)
     changed = {
         name: (value, run.get(name))
         for name, value in own.items()
         if name not in _SAME_PARAMETERS and run.get(name) != value
     }
-    if config.model.has_maps and not model.has_maps:  # they begin as drawn
-        changed.pop("head_dim")
-        params = {**params, "heads": state.params["heads"]}
     if changed:
         raise InputError(
             f"--init-weights {source}: expected weights of the run's network, got "
@@ -212,7 +210,7 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
     place = functools.partial(
         jax.tree.map, lambda new, old: jax.device_put(new, old.sharding)
     )
-    placed = place(params, state.params)
+    placed = place(network.params, state.params)
     # A copy: the step gives both buffers away, which must not be the same.
     ema = None if state.ema_params is None else jax.tree.map(jnp.copy, placed)
     return state._replace(params=placed, ema_params=ema)
@@ -227,10 +225,9 @@ def _validate_and_keep_best(
 ) -> dict[str, Any]:
     if not config.train.validation_scenes:
         return record
-    params = to_host(state.released_params())
+    network = UniversalNetwork(config.model, to_host(state.released_params()))
     scores = validate(
-        params,
-        config.model,
+        network,
         config.scenes,
         count=config.train.validation_scenes,
         num_images=config.train.validation_images,
@@ -239,7 +236,7 @@ def _validate_and_keep_best(
     step = int(state.step)
     log.record(step, {f"validation/{name}": v for name, v in scores.items()})
     if log.shows_pictures:
-        log.pictures(step, validation_pictures(params, config))
+        log.pictures(step, validation_pictures(network, config))
     # A score on other scenes, before a resumption, is no measure of this one.
     on = [config.train.validation_scenes, config.train.validation_images]
     best = record["best_mae_deg"] if record.get("best_on", on) == on else None
@@ -251,13 +248,17 @@ def _validate_and_keep_best(
     )
     if not better:
         return record
-    _write_weights(workdir / "best.safetensors", config, params, step, scores)
+    _write_weights(workdir / "best.safetensors", config, network, step, scores)
     return {"best_mae_deg": scores["mae"], "best_step": step, "best_on": on}
 
 
 def _write_weights(
-    path: Path, config: Config, params: Any, step: int, scores: dict[str, float]
+    path: Path,
+    config: Config,
+    network: UniversalNetwork,
+    step: int,
+    scores: dict[str, float],
 ) -> None:
     if jax.process_index() == 0:
         record = {"step": step, "config": json.loads(to_json(config))}
-        save_weights(path, config.model, params, record={**record, "scores": scores})
+        save_weights(path, network, record={**record, "scores": scores})

@@ -45,21 +45,7 @@ def make_schedule(config: OptimConfig, steps: int) -> optax.Schedule:
 
 def make_optimizer(config: Config) -> optax.GradientTransformation:
     """The whole update rule."""
-    rule = _update_rule(config.optim, config.train.steps)
-    if config.model.has_maps:
-        rate = config.optim.heads_rate
-
-        def hasten(updates: Any, _: Any) -> Any:
-            return {**updates, "heads": optax.tree.scale(rate, updates["heads"])}
-
-        rule = optax.chain(rule, optax.stateless(hasten))
-    if not config.train.heads_only:
-        return rule
-
-    def labels(params: Any) -> Any:
-        return {name: "train" if name == "heads" else "keep" for name in params}
-
-    return optax.partition({"train": rule, "keep": optax.set_to_zero()}, labels)
+    return _update_rule(config.optim, config.train.steps)
 
 
 def _update_rule(config: OptimConfig, steps: int) -> optax.GradientTransformation:

@@ -8,24 +8,20 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
+from unips_jax.models.network import UniversalNetwork
 from unips_jax.training.config import Config
-from unips_jax.training.loss import training_loss
+from unips_jax.training.loss import LossOptions, Objects, training_loss
 from unips_jax.training.optimizer import make_optimizer
 from unips_jax.training.state import TrainState
 
 Batch = dict[str, Array]
 
 
-def augment(
-    images: Array, mask: Array, normals: Array, lights: Array | None, key: Array
-) -> tuple[Array, Array, Array, Array | None]:
+def augment(scene: Objects, key: Array) -> Objects:
     """The paper's four augmentations of one object, each with probability one half.
 
     Args:
-        images: `[N, H, H, 3]`.
-        mask: `[H, H]`.
-        normals: `[H, H, 3]`.
-        lights: `[N, 3]`, mean directions, or None.
+        scene: one object, without a leading axis; its images are square.
         key: for the draws.
 
     Returns:
@@ -38,9 +34,9 @@ def augment(
     flip_key, colour_key, order_key = jax.random.split(key, 3)
     horizontal, vertical, transpose = jax.random.bernoulli(flip_key, 0.5, (3,))
 
-    def apply(scene: Any, when: Array, change: Any, turn: Any) -> Any:
+    def apply(scene: Objects, when: Array, change: Any, turn: Any) -> Objects:
         images, mask, normals, lights = scene
-        turned = (
+        turned = Objects(
             jax.vmap(change)(images),
             change(mask),
             turn(change(normals)),
@@ -48,19 +44,19 @@ def augment(
         )
         return jax.tree.map(functools.partial(jnp.where, when), turned, scene)
 
-    scene = (images, mask, normals, lights)
-    signs = jnp.array([-1, 1, 1], normals.dtype)
+    dtype = scene.normals.dtype
+    signs = jnp.array([-1, 1, 1], dtype)
     scene = apply(scene, horizontal, lambda x: x[:, ::-1], lambda n: n * signs)
-    signs = jnp.array([1, -1, 1], normals.dtype)
+    signs = jnp.array([1, -1, 1], dtype)
     scene = apply(scene, vertical, lambda x: x[::-1], lambda n: n * signs)
-    signs = jnp.array([-1, -1, 1], normals.dtype)
+    signs = jnp.array([-1, -1, 1], dtype)
     scene = apply(
         scene,
         transpose,
         lambda x: jnp.swapaxes(x, 0, 1),
         lambda n: n[..., jnp.array([1, 0, 2])] * signs,
     )
-    images, mask, normals, lights = scene
+    images = scene.images
     n = images.shape[0]
     orders = jax.vmap(lambda k: jax.random.permutation(k, 3))(
         jax.random.split(order_key, n)
@@ -69,7 +65,7 @@ def augment(
     orders = jnp.where(permuted[:, None], orders, jnp.arange(3))
     # As a product: gathers along the last axis are slow.
     mixing = jax.nn.one_hot(orders, 3, dtype=images.dtype)  # [N, new, old]
-    return jnp.einsum("nhwc,ndc->nhwd", images, mixing), mask, normals, lights
+    return scene._replace(images=jnp.einsum("nhwc,ndc->nhwd", images, mixing))
 
 
 def batch_loss(
@@ -80,41 +76,29 @@ def batch_loss(
     Args:
         params: the network's parameters.
         batch: `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and
-            `lights [B, N, 3]` and `material [B, H, H, 5]` where they are known.
+            `lights [B, N, 3]` where they are known.
         key: for augmentation, pixels and dropout.
         config: of the run.
 
     Returns:
         The loss and the mean of the objects' metrics.
     """
-    data = config.data
-    num_images = batch["images"].shape[1]
-
-    images, mask, normals = batch["images"], batch["mask"], batch["normals"]
-    lights, material = batch.get("lights"), batch.get("material")
-    keys = jax.random.split(key, (2, images.shape[0]))
+    data, train = config.data, config.train
+    objects = Objects(**batch)
+    batch_size, num_images = objects.images.shape[:2]
+    keys = jax.random.split(key, (2, batch_size))
     if data.augment:
-        images, mask, normals, lights = jax.vmap(augment)(
-            images, mask, normals, lights, keys[0]
-        )
-        material = None  # it has not been turned
-    return training_loss(
-        params,
-        images,
-        mask,
-        normals,
-        keys[1],
-        lights=lights,
-        material=material,
-        config=config.model,
+        objects = jax.vmap(augment)(objects, keys[0])
+    options = LossOptions(
         num_pixels=data.pixels_for(num_images),
         frame=data.frame,
         grid_loss=data.grid_loss,
-        squared_loss=config.train.squared_loss,
-        coarse_guess_weight=config.train.coarse_guess_weight,
-        lights_guess_weight=config.train.lights_guess_weight,
-        heads_only=config.train.heads_only,
+        squared_loss=train.squared_loss,
+        coarse_guess_weight=train.coarse_guess_weight,
+        lights_guess_weight=train.lights_guess_weight,
     )
+    network = UniversalNetwork(config.model, params)
+    return training_loss(network, objects, keys[1], options)
 
 
 def train_step(

@@ -15,7 +15,7 @@ import numpy as np
 from unips_jax.console import track
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
-from unips_jax.models.config import ModelConfig
+from unips_jax.models.network import UniversalNetwork
 from unips_jax.pictures.maps import error_picture, normals_picture, photograph_picture
 from unips_jax.scenes import (
     LIGHT_KINDS,
@@ -58,8 +58,7 @@ def held_out_scenes(
 
 
 def estimate_held_out(
-    params: Any,
-    model: ModelConfig,
+    network: UniversalNetwork,
     scenes: SceneConfig,
     *,
     count: int,
@@ -72,12 +71,11 @@ def estimate_held_out(
         scenes, count=count, num_images=num_images, size=size, **scene_options
     )
     for scene in drawn:
-        yield scene, estimate_normals(params, scene.images, scene.mask, config=model)
+        yield scene, estimate_normals(network, scene.images, scene.mask)
 
 
 def validate(
-    params: Any,
-    model: ModelConfig,
+    network: UniversalNetwork,
     scenes: SceneConfig,
     *,
     count: int,
@@ -89,8 +87,7 @@ def validate(
     """Scores a network on held-out scenes.
 
     Args:
-        params: the network's parameters.
-        model: its configuration.
+        network: what is scored.
         scenes: the distribution of scenes.
         count: how many scenes.
         num_images: images of each; the scenes' objects do not depend on it.
@@ -104,8 +101,7 @@ def validate(
     """
     errors: dict[str, list[float]] = {}
     held_out = estimate_held_out(
-        params,
-        model,
+        network,
         scenes,
         count=count,
         num_images=num_images,
@@ -142,15 +138,14 @@ def score_table(scores: dict[str, float]) -> str:
 
 
 def validation_pictures(
-    params: Any, config: Config, count: int = 4
+    network: UniversalNetwork, config: Config, count: int = 4
 ) -> dict[str, np.ndarray]:
     """Rows of an image, the true normals, the estimate and its error map.
 
     A picture `[H, 4 H, 3]`, uint8, for each of `count` held-out scenes, by its name.
     """
     held_out = estimate_held_out(
-        params,
-        config.model,
+        network,
         config.scenes,
         count=count,
         num_images=config.train.validation_images,

@@ -8,7 +8,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,12 +16,15 @@ from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import write_exr, write_image
 from unips_jax.lighting.lights import Lights
-from unips_jax.models.config import ModelConfig
+
+if TYPE_CHECKING:
+    from unips_jax.estimation.streaming import NormalsAndLights
+    from unips_jax.models.network import UniversalNetwork
 
 UNRELIABLE_DEG = 15.0  # of spread: a pixel above it is in the mask
 
 
-class Beyond(NamedTuple):
+class Extras(NamedTuple):
     """What the network has to be asked for.
 
     Attributes:
@@ -33,55 +36,52 @@ class Beyond(NamedTuple):
     confidence: np.ndarray | None = None
 
 
-def look_beyond(
-    config: ModelConfig,
-    params: Any,
+def estimate_extras(
+    network: "UniversalNetwork",
     images: np.ndarray,
     mask: np.ndarray,
-    normals: np.ndarray,
+    found: "NormalsAndLights",
     transfer: Transfer,
     options: FolderOptions,
     *,
     progress: Callable[[int, int], None] | None = None,
-) -> Beyond:
+) -> Extras:
     """Estimates lights and confidence, as far as the options want them.
 
     Args:
-        config: the network's configuration.
-        params: its parameters.
+        network: from `load_weights`.
         images: `[N, H, W, 3]`, uint8, uint16 or float32.
         mask: `[H, W]`, bool.
-        normals: `[H, W, 3]`, the estimate.
+        found: the estimate.
         transfer: how values encode light.
         options: what is wanted.
         progress: called with the numbers of pixels done and to do.
     """
-    known: dict[str, Any] = {
-        "config": config,
-        "transfer": transfer,
-        "frame": "image" if options.reader == "official" else "mask",
-    }
     lights, confidence = None, None
     if options.lights or options.base_color or options.rti:
-        from unips_jax.estimation.lights import guess_lights
         from unips_jax.lighting.lights import estimate_lights
 
-        guesses = guess_lights(params, images, mask, **known)
         lights = estimate_lights(
-            images, normals, mask, guesses=guesses, transfer=transfer
+            images, found.normals, mask, guesses=found.lights, transfer=transfer
         )
     if options.confidence:
         from unips_jax.estimation.confidence import normal_spread
 
         confidence = normal_spread(
-            params, images, mask, normals, **known, progress=progress
+            network,
+            images,
+            mask,
+            found.normals,
+            transfer=transfer,
+            frame=options.frame,
+            progress=progress,
         )
-    return Beyond(lights, confidence)
+    return Extras(lights, confidence)
 
 
-def write_beyond(
+def write_extras(
     folder: Path,
-    beyond: Beyond,
+    extras: Extras,
     images: np.ndarray,
     mask: np.ndarray,
     normals: np.ndarray,
@@ -93,7 +93,7 @@ def write_beyond(
 
     Args:
         folder: where; it exists.
-        beyond: from `look_beyond`.
+        extras: from `estimate_extras`.
         images: as there.
         mask: as there.
         normals: as there.
@@ -105,7 +105,7 @@ def write_beyond(
         For the record.
     """
     facts: dict[str, Any] = {}
-    lights = beyond.lights
+    lights = extras.lights
     if lights is not None:
         from unips_jax.lighting.files import write_base_color, write_lights
         from unips_jax.lighting.ptm import fit_texture_map, write_planes, write_ptm
@@ -120,8 +120,8 @@ def write_beyond(
             fit = fit_texture_map(images, mask, lights, transfer=transfer)
             facts["rti"] = write_ptm(folder / "relight.ptm", fit)
             write_planes(folder, fit)
-    if beyond.confidence is not None:
-        facts["confidence"] = write_confidence(folder, beyond.confidence, mask)
+    if extras.confidence is not None:
+        facts["confidence"] = write_confidence(folder, extras.confidence, mask)
     return facts
 
 

@@ -8,35 +8,48 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from unips_jax.models import ops
 from unips_jax.models.encoding import Pieces
 
 # Images that pass the backbone together.
 CHUNK_IMAGES = 2
-
-
 # Members of sets decoded at once: enough to keep the matrix products busy, few enough
 # to stay in cache.
 CHUNK_TOKENS = 1024
 
 
-def map_views(function: Callable[[Any], Any], views: Any) -> Any:
-    """`jax.lax.map` over arrays `[V, ...]`, without a loop where there is one view."""
-    if jax.tree.leaves(views)[0].shape[0] > 1:
-        return jax.lax.map(function, views)
-    result = function(jax.tree.map(lambda x: x[0], views))
-    return jax.tree.map(lambda x: x[None], result)
-
-
 def map_chunks(function: Callable[[Any], Any], xs: Any, size: int) -> Any:
     """Applies a function to chunks of the leading axis, rematerialised under `grad`.
 
-    Chunks are evenly sized, the last one padded with zeros.
+    Chunks are as `split_chunks` makes them.
     """
     total = jax.tree.leaves(xs)[0].shape[0]
-    if total <= size:
+    if ops.known(lambda: total <= size):
         return jax.checkpoint(function)(xs)
     parts = split_chunks(xs, size)
     return join_chunks(jax.lax.map(jax.checkpoint(function), parts), total)
+
+
+def bounded(num_images: int) -> dict[str, Any]:
+    """Options of `encode` that keep its memory from growing with the set.
+
+    Args:
+        num_images: of the set; a symbol under `jax.export`, where there are none.
+    """
+    if not isinstance(num_images, int):
+        return {}
+    return {
+        "by_image": in_pieces(CHUNK_IMAGES),
+        "by_place": in_pieces(max(1, CHUNK_TOKENS // num_images)),
+    }
+
+
+def pixels_at_a_time(contexts: Array) -> int:
+    """Pixels to decode together, from an object's contexts `[V, N, h, w, C]`."""
+    views, num_images = contexts.shape[:2]
+    if not isinstance(num_images, int):  # a symbol under `jax.export`: perhaps eight
+        num_images = 8
+    return max(1, CHUNK_TOKENS // (views * num_images))
 
 
 def in_pieces(size: int) -> Pieces:
@@ -67,11 +80,12 @@ def in_pieces(size: int) -> Pieces:
 def split_chunks(xs: Any, size: int) -> Any:
     """Cuts arrays `[P, ...]` into chunks of at most `size`: `[chunks, p, ...]`.
 
-    Chunks are evenly sized, the last one padded with zeros.
+    Chunks are evenly sized if the total is known, the last one padded with zeros.
     """
     total = jax.tree.leaves(xs)[0].shape[0]
     chunks = -(-total // size)
-    size = -(-total // chunks)
+    if isinstance(total, int):
+        size = -(-total // chunks)
 
     def split(x: Array) -> Array:
         widths = [(0, chunks * size - total)] + [(0, 0)] * (x.ndim - 1)

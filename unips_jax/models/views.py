@@ -1,0 +1,333 @@
+"""What the encoder sees of an object: its images, normalised, in a square frame.
+
+Our network sees an object twice: the images, and the mirrored images; each is a view.
+Views are made here from arrays, in JAX (`make_views`), and from photographs that stay
+on the host in their storage type, a few rows at a time (`photograph_views`).
+
+Source: UniPS (Ikehata, CVPR 2022), Sec. 4; the frame is ours, so that photographs need
+not be square.
+"""
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, cast, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from unips_jax.checks import require_choice
+from unips_jax.models.config import ModelConfig
+
+FrameKind = Literal["mask", "image"]
+
+
+class Frame(NamedTuple):
+    """The square of the image that the encoder sees; it may leave the image.
+
+    Attributes:
+        top: row of its first pixel.
+        left: column of its first pixel.
+        side: its side in pixels.
+    """
+
+    top: Array
+    left: Array
+    side: Array
+
+
+class Views(NamedTuple):
+    """An object as the encoder sees it: V views, the images and the mirrored ones.
+
+    Attributes:
+        images: `[V, N, s, s, 4]`, normalised RGB times mask, and the mask.
+        frame: where they are in the image, or in the mirrored image, `[V]` each.
+        width: columns of the image, int32.
+    """
+
+    images: Array
+    frame: Frame
+    width: Array
+
+
+def make_views(
+    images: Array, mask: Array, config: ModelConfig, kind: FrameKind = "mask"
+) -> Views:
+    """The views of an object in arrays; differentiable by the images.
+
+    Args:
+        images: `[N, H, W, 3]`, from `normalize_images`.
+        mask: `[H, W]`, bool.
+        config: the network's configuration.
+        kind: what the frame surrounds.
+    """
+
+    def view(step: int) -> tuple[Array, Frame]:
+        inside = mask[:, ::step]
+        frame = square_frame(inside, kind)
+        size, antialias = config.canonical_size, config.antialias
+        seen = canonical_images(images[:, :, ::step], inside, frame, size, antialias)
+        return seen, frame
+
+    views = [view(step) for step in _steps(config)]
+    seen, frame = jax.tree.map(lambda *view: jnp.stack(view), *views)
+    return Views(seen, frame, jnp.asarray(mask.shape[1], jnp.int32))
+
+
+def photograph_views(
+    images: np.ndarray,
+    mask: np.ndarray,
+    linear: Callable[[np.ndarray], np.ndarray],
+    config: ModelConfig,
+    kind: FrameKind = "mask",
+    *,
+    padded: int | None = None,
+) -> tuple[Views, np.ndarray]:
+    """`normalize_images` and `make_views` of photographs, a few rows at a time.
+
+    Nothing here runs in JAX: for a new size of photographs it would compile first.
+
+    Args:
+        images: `[N, H, W, 3]`, of any type.
+        mask: `[H, W]`, bool.
+        linear: gives values as linear light, float32.
+        config: the network's configuration.
+        kind: what the frame surrounds.
+        padded: images of the views, the last ones zero; N if None.
+
+    Returns:
+        The views, and the photographs' gains `[N]`: one over each one's mean over
+        masked pixels and channels.
+    """
+    size, steps = config.canonical_size, _steps(config)
+    shape = (len(steps), padded or len(images), size, size, 4)
+    seen, gains = np.zeros(shape, np.float32), np.ones(len(images), np.float32)
+    frames = []
+    for v, step in enumerate(steps):
+        inside = mask[:, ::step]
+        frame = square_frame(inside, kind)
+        weights = tuple(
+            resize_weights(start, frame.side, size, length, config.antialias)
+            for start, length in zip((frame.top, frame.left), mask.shape, strict=True)
+        )
+        for i, image in enumerate(images):
+            resized, total = _resized(image[:, ::step], inside, frame, weights, linear)
+            if total > 0:
+                gains[i] = 3 * np.count_nonzero(mask) / total
+            seen[v, i] = _seen(resized, inside, frame, gains[i], config.antialias)
+        frames.append(frame)
+    frame = jax.tree.map(lambda *view: np.stack(view), *frames)
+    width: Any = np.int32(mask.shape[1])
+    return Views(cast(Array, seen), frame, width), gains
+
+
+def _steps(config: ModelConfig) -> tuple[int, ...]:
+    """Of the columns in each view."""
+    return (1, -1) if config.mirror else (1,)
+
+
+def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:
+    """The smallest square around the mask or the image, centred on it.
+
+    Args:
+        mask: `[H, W]`, non-zero on the object.
+        kind: "mask" or "image"; an empty mask gives the image's square.
+
+    Returns:
+        The frame, integers; NumPy's for a NumPy mask.
+
+    Raises:
+        ValueError: if `kind` is neither.
+    """
+    require_choice("frame", kind, get_args(FrameKind))
+    xp = _numpy_of(mask)
+    inside = xp.asarray(mask).astype(bool)
+    if kind == "image":
+        inside = xp.ones_like(inside)
+    inside = inside | ~xp.any(inside)
+    starts, sizes = [], []
+    for axis in (1, 0):
+        line = xp.any(inside, axis=axis)
+        start, stop = xp.argmax(line), line.size - xp.argmax(line[::-1])
+        starts.append(start)
+        sizes.append(stop - start)
+    side = xp.maximum(*sizes)
+    top, left = (
+        start + (size - side) // 2 for start, size in zip(starts, sizes, strict=True)
+    )
+    return Frame(*(x.astype(np.int32) for x in (top, left, side)))
+
+
+def context_cells(
+    rows: Array, columns: Array, frame: Frame, config: ModelConfig
+) -> tuple[Array, Array]:
+    """Where pixels lie on the grid of the contexts of a frame.
+
+    Args:
+        rows: of the pixels in the image, `[P]`, integers.
+        columns: of the pixels, `[P]`, integers.
+        frame: what was encoded.
+        config: the network's configuration.
+
+    Returns:
+        Rows and columns in cells, `[P]` each; 0 is the centre of the first cell.
+    """
+    offset = 0.0 if config.reads_at_corners else 0.5
+    scale = config.context_size / frame.side.astype(float)
+    return (
+        ((rows - frame.top).astype(float) + offset) * scale - 0.5,
+        ((columns - frame.left).astype(float) + offset) * scale - 0.5,
+    )
+
+
+def normalize_images(images: Array, mask: Array) -> Array:
+    """Divides each image by its mean over masked pixels and channels; zero outside.
+
+    Args:
+        images: `[N, H, W, 3]`.
+        mask: `[H, W]`.
+
+    Returns:
+        `[N, H, W, 3]`; an all-black image stays black.
+    """
+    inside = mask.astype(bool)[..., None]
+    means = image_means(images, mask)
+    return jnp.where(inside[None], images, 0) / means[:, None, None, None]
+
+
+def image_means(images: Array, mask: Array) -> Array:
+    """Each image's mean over masked pixels and channels, or 1 where that is 0: `[N]`.
+
+    Args:
+        images: `[N, H, W, 3]`.
+        mask: `[H, W]`.
+    """
+    inside = mask.astype(bool)[..., None]
+    count = jnp.maximum(jnp.sum(inside) * images.shape[-1], 1)
+    total = jnp.sum(jnp.where(inside[None], images, 0), axis=(1, 2, 3))
+    mean = total / count.astype(images.dtype)
+    return jnp.where(mean > 0, mean, 1)
+
+
+def canonical_images(
+    images: Array, mask: Array, frame: Frame, size: int, antialias: bool = False
+) -> Array:
+    """The frame's part of the images, resized for the encoder.
+
+    Bilinear with half-pixel centres; as a product with the separable weights, which
+    moves with the frame and has cheap gradients.
+
+    Args:
+        images: `[N, H, W, 3]`, normalised, zero outside the mask.
+        mask: `[H, W]`.
+        frame: which square.
+        size: the canonical size s.
+        antialias: average what falls between the cells, over the mask only.
+
+    Returns:
+        `[N, s, s, 4]`: images times mask, and the mask.
+    """
+    dtype, (height, width) = images.dtype, mask.shape
+    rows = resize_weights(frame.top, frame.side, size, height, antialias, dtype)
+    columns = resize_weights(frame.left, frame.side, size, width, antialias, dtype)
+    resized = jnp.einsum("ih,nhwc,jw->nijc", rows, images, columns, optimize=True)
+    steps = jnp.arange(size) * frame.side // size
+    inside = (
+        mask.astype(dtype)
+        .at[frame.top + steps]
+        .get(mode="fill", fill_value=0, wrap_negative_indices=False)
+    )
+    inside = inside.at[:, frame.left + steps].get(
+        mode="fill", fill_value=0, wrap_negative_indices=False
+    )
+    inside = (inside > 0).astype(dtype)[None, :, :, None]
+    if antialias:
+        covered = jnp.einsum("ih,hw,jw->ij", rows, mask.astype(dtype), columns)
+        resized /= jnp.where(covered > 0, covered, 1)[None, ..., None]
+    return jnp.concatenate(
+        [resized * inside, jnp.broadcast_to(inside, (*resized.shape[:-1], 1))], axis=-1
+    )
+
+
+def resize_weights(
+    start: Array,
+    side: Array,
+    size: int,
+    length: int,
+    antialias: bool,
+    dtype: Any = np.float32,
+) -> Array:
+    """Bilinear weights of an axis' pixels for the cells that a stretch becomes.
+
+    Args:
+        start: the stretch's first pixel.
+        side: its length in pixels.
+        size: how many cells it becomes.
+        length: pixels of the axis.
+        antialias: widen the weights to the cells where these are larger than pixels.
+        dtype: of the weights.
+
+    Returns:
+        `[size, length]`; rows sum to 1 where nothing of their reach is cut off. NumPy's
+        for a NumPy start.
+    """
+    xp = _numpy_of(start)
+    start, side = xp.asarray(start, dtype), xp.asarray(side, dtype)
+    scale = side / size
+    places = (xp.arange(size, dtype=dtype) + 0.5) * scale - 0.5
+    places = start + xp.clip(places, 0, side - 1)
+    distance = xp.abs(places[:, None] - xp.arange(length, dtype=dtype)[None])
+    reach = xp.maximum(scale, 1) if antialias else 1
+    return xp.maximum(1 - distance / reach, 0) / reach
+
+
+def _numpy_of(x: Any) -> Any:
+    """NumPy for what is on the host, so that nothing is compiled; else JAX's."""
+    return np if isinstance(x, np.ndarray | np.generic) else jnp
+
+
+def _resized(
+    image: np.ndarray,
+    mask: np.ndarray,
+    frame: Frame,
+    weights: tuple[Any, ...],
+    linear: Callable[[np.ndarray], np.ndarray],
+) -> tuple[np.ndarray, float]:
+    """A photograph's masked light in the frame's cells, and its sum over all pixels.
+
+    `image [H, W, 3]`, `mask [H, W]`, weights of rows `[s, H]` and columns `[s, W]`;
+    returns `[s, s, 4]`, of which the last channel is how far the mask covers a cell.
+    """
+    rows, columns = weights
+    inner = slice(max(0, int(frame.left)), int(frame.left) + int(frame.side))
+    columns = columns[:, inner]
+    resized, total = np.zeros((len(rows), columns.shape[1] * 4), np.float32), 0.0
+    step = max(1, 2**18 // mask.shape[1])
+    for start in range(0, len(mask), step):
+        part = slice(start, start + step)
+        inside = mask[part, inner, None]
+        if not inside.any():
+            continue
+        values = np.where(inside, linear(image[part, inner]), 0)
+        total += float(np.sum(values, dtype=np.float64))
+        values = np.concatenate([values, inside], axis=-1).reshape(len(values), -1)
+        reached = np.any(rows[:, part], axis=1)
+        resized[reached] += rows[reached, part] @ values
+    return columns @ resized.reshape(len(rows), -1, 4), total
+
+
+def _seen(
+    resized: np.ndarray, mask: np.ndarray, frame: Frame, gain: float, antialias: bool
+) -> np.ndarray:
+    """What `canonical_images` gives, from `_resized`: `[s, s, 4]`."""
+    size, (height, width) = len(resized), mask.shape
+    if antialias:
+        resized[..., :3] /= np.where(resized[..., 3:] > 0, resized[..., 3:], 1)
+    steps = np.arange(size) * int(frame.side) // size
+    y, x = int(frame.top) + steps, int(frame.left) + steps
+    inside = ((y >= 0) & (y < height))[:, None] & (x >= 0) & (x < width)
+    inside &= mask.take(y, axis=0, mode="clip").take(x, axis=1, mode="clip")
+    resized[..., :3] *= inside[..., None] * np.float32(gain)
+    resized[..., 3] = inside
+    return resized
