@@ -116,6 +116,76 @@ def test_huge_sizes_are_refused_by_the_header(tmp_path, suffix, write):
     assert peak < 30e6 and time.monotonic() - start < 5
 
 
+def gif_of_many_frames(path):
+    Image.new("L", (4, 4)).save(path)
+    data = path.read_bytes()
+    frame = data.index(b",")
+    path.write_bytes(data[:frame] + data[frame:-1] * 300_000 + b";")
+
+
+def png_of_many_chunks(path):
+    data = save(path, smooth(np.uint8)).read_bytes()
+    chunk = bytes(4) + b"tEXt" + struct.pack(">I", zlib.crc32(b"tEXt"))
+    path.write_bytes(data[:33] + chunk * 1_000_000 + data[33:])
+
+
+def jpeg_with(part, count):
+    def write(path):
+        data = save(path, smooth(np.uint8)).read_bytes()
+        path.write_bytes(data[:2] + part * count + data[2:])
+
+    write.__name__ = f"{part[:2].hex()}_{count}"
+    return write
+
+
+ICC = b"\xff\xe2" + struct.pack(">H", 65_014) + b"ICC_PROFILE\0" + bytes(65_000)
+
+
+def webp_of_many_chunks(path):
+    data = save(path, smooth(np.uint8)).read_bytes() + b"XXXX\0\0\0\0" * 3_000_000
+    path.write_bytes(data[:4] + struct.pack("<I", len(data) - 8) + data[8:])
+
+
+def tiff_of_many_pages(path):
+    data = b"II*\0" + struct.pack("<I", 8)
+    for page in range(20_000):
+        tag = struct.pack("<HHHII", 1, 256, 4, 1, 1)
+        data += tag + struct.pack("<I", 26 + 18 * page)
+    path.write_bytes(data)
+
+
+def exr_of_many_parts(path):
+    names = [f"p{i}" for i in range(3000)]
+    OpenEXR.File(
+        [OpenEXR.Part({"name": n}, {"R": np.zeros((1, 1), "f4")}, n) for n in names]
+    ).write(str(path))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "write", "said"),
+    [
+        (".gif", gif_of_many_frames, "an animated GIF"),
+        (".png", png_of_many_chunks, "more than 4096 chunks"),
+        (".jpg", jpeg_with(b"\xff\xfe\0\2", 1_000_000), "more than 4096 segments"),
+        (".jpg", jpeg_with(b"\xff", 20_000_000), None),  # filling: sound
+        (".jpg", jpeg_with(ICC, 1500), "bad ICC marker"),
+        (".webp", webp_of_many_chunks, "more than 4096 chunks"),
+        (".tif", tiff_of_many_pages, "more than 64 pages"),
+        (".exr", exr_of_many_parts, "p1002.R, .* and 2980 more"),
+    ],
+)
+def test_files_of_many_parts_take_no_time(tmp_path, suffix, write, said):
+    path = tmp_path / f"a{suffix}"
+    write(path)
+    start = time.process_time()
+    if said is None:
+        read_image(path)
+    else:
+        with pytest.raises(InputError, match=rf"a\{suffix}: .*{said}"):
+            read_image(path)
+    assert time.process_time() - start < 2
+
+
 def test_the_size_is_named_and_the_limit_can_be_moved(tmp_path):
     for i in range(3):
         save(tmp_path / f"{i}.png", smooth(np.uint8, i))

@@ -1,6 +1,9 @@
 """Photographs in one file, and a frame without the lamp."""
 
 import json
+import re
+import struct
+import time
 
 import cv2
 import numpy as np
@@ -13,7 +16,7 @@ from unips_jax.capture.prepare import without_ambient
 from unips_jax.capture.unpack import unpacked
 from unips_jax.cli import main as cli
 from unips_jax.errors import InputError
-from unips_jax.io.color import as_linear, srgb_encode
+from unips_jax.io.color import CURVES, as_linear, srgb_encode
 from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
@@ -53,10 +56,12 @@ def test_files_that_hold_one_or_nothing(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.zeros((20, 30), np.uint8))
     (tmp_path / "b.tif").write_bytes(b"II*\0nothing")
     (tmp_path / "c.mp4").write_bytes(b"no video")
+    (tmp_path / "d.mp4").write_bytes(bytes(4) + b"ftypisom")
     for name, said in (
         ("a.tif", f"got one of 1; give its folder, {tmp_path}"),
         ("b.tif", "or a TIFF of several"),
-        ("c.mp4", "expected a video of some seconds, got 0 frames"),
+        ("c.mp4", "got a file that does not begin like one"),
+        ("d.mp4", "expected a video of some seconds, got 0 frames"),
     ):
         with pytest.raises(InputError, match=said), unpacked(tmp_path / name):
             pass
@@ -74,13 +79,11 @@ def video(tmp_path):
         5, directions=lights(0, np.array(azimuths)), second=(0.2, 0.2, 0.1)
     )
     path = tmp_path / "turn.avi"
-    size = images.shape[2], images.shape[1]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, size)
-    for index, image in enumerate(images):
-        if index % 15 == 7:
-            image = cv2.blur(image, (9, 9))
-        writer.write(np.ascontiguousarray(image[..., ::-1]))
-    writer.release()
+    shaken = [
+        cv2.blur(image, (9, 9)) if index % 15 == 7 else image
+        for index, image in enumerate(images[..., ::-1])
+    ]
+    write_video(path, shaken)
     return path, np.array(azimuths)
 
 
@@ -88,7 +91,8 @@ def test_a_video_gives_the_frames_whose_light_differs(video, tmp_path, calls, ca
     path, azimuths = video
     with unpacked(path, frames=8) as folder:
         names = select(folder).names
-    numbers = np.array([int(name[6:11]) for name in names])
+    assert all(re.fullmatch(r"at_00m0\d\.\d{3}s\.png", name) for name in names)
+    numbers = np.array([round(25 * float(name[6:12])) for name in names])
     assert len(numbers) == 8 and not (numbers % 15 == 7).any()
     places = np.sort(azimuths[numbers])
     gaps = np.diff([*places, places[0] + 360])
@@ -99,7 +103,102 @@ def test_a_video_gives_the_frames_whose_light_differs(video, tmp_path, calls, ca
     assert run(path, "-o", tmp_path / "out") == 0
     assert "up to date" in capsys.readouterr().out and len(calls) == 1
     assert cli.main(["check", str(path)]) == 0
-    assert "turn: 12 photographs" in capsys.readouterr().out
+    assert "turn.avi: 12 photographs" in capsys.readouterr().out
+
+
+def test_messages_name_the_video_and_the_time(video, tmp_path, calls, capsys):  # noqa: F811
+    path, _ = video
+    shaken = cv2.VideoCapture(str(path))
+    frames = [frame for _ in range(90) for frame in [shaken.read()[1]]]
+    frames = [np.roll(f, 9, 1) if 40 <= i < 43 else f for i, f in enumerate(frames)]
+    write_video(path, frames)
+    assert cli.main(["check", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"moved: at_00m0[12]\.\d{3}s\.png 9", out) and "unips-" not in out
+    assert out.startswith(f"{path}: 12 photographs")
+    assert run(path, "-o", tmp_path / "out") == 0
+    assert "unips-" not in "".join(capsys.readouterr())
+    record = json.loads((tmp_path / "out/turn/normals.json").read_text())
+    assert record["folder"] == str(path)
+    with pytest.raises(InputError) as raised, unpacked(path) as folder:
+        raise InputError(f"{folder}/at_00m01.640s.png: expected light")
+    assert str(raised.value) == f"{path} at_00m01.640s: expected light"
+    cv2.imwrite(str(tmp_path / "mask.png"), np.full((9, 9), 255, np.uint8))
+    assert run(path, "-o", tmp_path / "out", "--mask", tmp_path / "mask.png") == 2
+    error = capsys.readouterr().err
+    assert "unips-" not in error and "expected a mask of 220 x 180 pixels" in error
+
+
+def write_video(path, frames, codec="MJPG"):
+    size = frames[0].shape[1::-1]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 25, size)
+    for frame in frames:
+        writer.write(np.ascontiguousarray(frame))
+    writer.release()
+
+
+def with_colours(mp4: bytes, code: int) -> bytes:
+    """An MP4 of one track whose sample entry has a colour box."""
+    box = struct.pack(">I4s4sHHHB", 19, b"colr", b"nclx", 9, code, 9, 0)
+    end = mp4.index(b"mp4v") - 4
+    end += struct.unpack_from(">I", mp4, end)[0]
+    data = bytearray(mp4[:end] + box + mp4[end:])
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"mp4v"):
+        at = mp4.index(name, mp4.index(b"moov")) - 4
+        size = struct.unpack_from(">I", mp4, at)[0]
+        struct.pack_into(">I", data, at, size + len(box))
+    return bytes(data)
+
+
+@pytest.mark.parametrize("code", [0, 1, 8])
+def test_the_transfer_code_of_a_video(tmp_path, code):
+    path = tmp_path / "a.mp4"
+    levels = np.uint8([64, 128, 192])
+    steps = np.repeat(levels, 32)[None, :, None]
+    rolled = [np.roll(steps, 32 * i, axis=1) for i in range(3)]
+    frames = [np.tile(step, (64, 1, 3)) for step in rolled for _ in range(2)]
+    write_video(path, frames, "mp4v")
+    path.write_bytes(
+        with_colours(path.read_bytes(), code) if code else path.read_bytes()
+    )
+    with unpacked(path) as folder:
+        capture = read_capture(select(folder))
+    assert capture.images.dtype == (np.uint16 if code else np.uint8)
+    found = as_linear(capture.images, capture.transfer)[:, 32, [16, 48, 80]]
+    expected = CURVES[code or 13][1](levels / 255)
+    for image in found:  # the codec changes values by up to two levels
+        np.testing.assert_allclose(np.sort(image[:, 1]), expected, rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [(16, "HDR video .PQ."), (18, "HDR video .HLG."), (77, "unknown transfer code 77")],
+)
+def test_videos_of_other_codes_are_refused_by_name(tmp_path, code, said):
+    path = tmp_path / "a.mp4"
+    write_video(path, [np.zeros((64, 64, 3), np.uint8)] * 3, "mp4v")
+    path.write_bytes(with_colours(path.read_bytes(), code))
+    with pytest.raises(InputError, match=rf"a\.mp4: .*{said}"), unpacked(path):
+        pass
+
+
+def test_a_tiff_whose_pages_lead_back(tmp_path):
+    path = tmp_path / "a.tif"
+    with tifffile.TiffWriter(path) as tiff:
+        for _ in range(3):
+            tiff.write(np.zeros((20, 30), np.uint8), contiguous=False)
+    data = path.read_bytes()
+    with tifffile.TiffFile(path) as tiff:
+        places = [page.offset for page in tiff.pages]
+    count = struct.unpack_from("<H", data, places[2])[0]
+    at = places[2] + 2 + 12 * count
+    for place in places:
+        path.write_bytes(data[:at] + struct.pack("<I", place) + data[at + 4 :])
+        start = time.monotonic()
+        for read in (read_image, lambda path: unpacked(path).__enter__()):
+            with pytest.raises(InputError, match="its pages lead back to one another"):
+                read(path)
+        assert time.monotonic() - start < 1
 
 
 @pytest.fixture

@@ -1,10 +1,12 @@
 """A file's own tags say how its values encode light, before its type does."""
 
 import dataclasses
+import io
 import struct
 import zlib
 
 import cv2
+import imagecodecs
 import numpy as np
 import pytest
 import tifffile
@@ -12,7 +14,7 @@ from picture_files import save, smooth
 from PIL import ImageCms
 
 from unips_jax.errors import InputError
-from unips_jax.io.color import as_linear, encoding_of, icc_curve
+from unips_jax.io.color import CURVES, as_linear, encoding_of, icc_curve, srgb_encode
 from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.photographs import read_capture, read_photographs
 from unips_jax.io.selection import select
@@ -97,8 +99,8 @@ def test_damaged_profiles_are_none(cut):
         ([GAMMA_22], "srgb", "gamma of 0.455 in the file, sRGB"),
         ([GAMMA_1], "linear", "gamma of 1 in the file, linear"),
         ([png_profile(LINEAR), chunk(b"sRGB", b"\0")], "linear", "profile"),
-        ([chunk(b"cICP", b"\x01\x08\0\1"), png_profile(SRGB)], "linear", "gamma of 1"),
-        ([chunk(b"cICP", b"\x01\x0d\0\1"), GAMMA_1], "srgb", "sRGB tag in the file"),
+        ([chunk(b"cICP", b"\x01\x08\0\1"), png_profile(SRGB)], "linear", "linear code"),
+        ([chunk(b"cICP", b"\x01\x0d\0\1"), GAMMA_1], "srgb", "sRGB code in the file"),
     ],
 )
 def test_tags_of_png(tmp_path, dtype, chunks, transfer, rule):
@@ -143,6 +145,84 @@ def test_other_curves_are_made_srgb(tmp_path, dtype, tolerance):
     chosen = read_capture(select(tmp_path), transfer="linear")
     np.testing.assert_array_equal(chosen.images[0], smooth(dtype))
     assert (chosen.transfer, chosen.transfer_rule) == ("linear", "--transfer")
+
+
+LIGHT = np.linspace(0.002, 0.8, 40)
+
+
+def values_of(code, light):
+    """Values in [0, 1] that encode light by a transfer code."""
+    x = np.linspace(0, 1, 100_001)
+    return np.interp(light, CURVES[code][1](x), x)
+
+
+@pytest.mark.parametrize("code", sorted(set(CURVES) - {9, 10}))
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_transfer_codes_of_png(tmp_path, code, dtype):
+    top = np.iinfo(dtype).max
+    stored = np.rint(values_of(code, LIGHT) * top).astype(dtype)
+    pixels = np.broadcast_to(stored[:, None, None], (40, 30, 3))
+    coded = chunk(b"cICP", bytes([9, code, 0, 1]))
+    tagged_png(tmp_path / "a.png", pixels, coded, png_profile(LINEAR), GAMMA_1)
+    capture = read_capture(select(tmp_path))
+    light = as_linear(capture.images[0, :, 0, 0], capture.transfer)
+    step = np.gradient(CURVES[code][1](np.linspace(0, 1, 256))).max()
+    tolerance = step if dtype == np.uint8 else 1e-3
+    if capture.images.dtype == dtype:
+        tolerance += 0.01  # so near to linear or sRGB that it is taken as such
+    np.testing.assert_allclose(light, LIGHT, atol=tolerance)
+    assert f"{CURVES[code][0]} code in the file" in capture.transfer_rule
+
+
+def test_published_values_of_the_curves():
+    """BT.2100: table 4 and annex; BT.709: 18% grey is 0.409; PQ: 203 cd/m2 is 0.581."""
+    for code, value, light in (
+        *((1, 0.4090, 0.18), (4, 0.5, 0.5**2.2), (8, 0.3, 0.3), (13, 0.5, 0.21404)),
+        *((16, 0.5807, 0.0203), (16, 0.7518, 0.1), (16, 1.0, 1.0), (16, 0.0, 0.0)),
+        *((18, 0.5, 1 / 12), (18, 1.0, 1.0), (18, 0.75, 0.26496), (7, 1.0, 1.0)),
+    ):
+        found = CURVES[code][1](np.array([value]))[0]
+        assert found == pytest.approx(light, rel=2e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12])
+@pytest.mark.parametrize("code", [0, 1, 8, 16, 18])
+@pytest.mark.parametrize("kind", ["avif", "heic"])
+def test_transfer_codes_of_avif_and_heic(tmp_path, kind, code, bits):
+    light = np.linspace(0.004, 0.6, 32)
+    values = srgb_encode(light) if code == 0 else values_of(code, light)
+    top = 2**bits - 1
+    stored = np.rint(np.broadcast_to(values[:, None, None], (32, 40, 3)) * top)
+    path = tmp_path / f"a.{kind}"
+    if kind == "avif":
+        kept = stored.astype(np.uint8 if bits == 8 else np.uint16)
+        data = imagecodecs.avif_encode(kept, level=100, bitspersample=bits)
+    else:
+        heif = pytest.importorskip("pillow_heif")
+        wide = bits > 8
+        mode = "RGB;16" if wide else "RGB"
+        kept = (stored * 2 ** (16 - bits) if wide else stored).astype(
+            np.uint16 if wide else np.uint8
+        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(heif.options, "SAVE_HDR_TO_12_BIT", bits == 12)
+            file = heif.from_bytes(mode=mode, size=(40, 32), data=kept.tobytes())
+            stream = io.BytesIO()
+            file.save(stream, quality=-1, chroma=444)
+        data = stream.getvalue()
+    at = data.index(b"colrnclx") + 10
+    path.write_bytes(data[:at] + struct.pack(">H", code or 2) + data[at + 2 :])
+    file = read_image_file(path)
+    assert file.pixels.dtype == (np.uint8 if bits == 8 else np.uint16)
+    capture = read_capture(select(tmp_path))
+    found = as_linear(capture.images[0], capture.transfer)[:, 20].mean(-1)
+    # A level of the stored values, and one of the codec's conversion.
+    curve = CURVES[code or 13][1]
+    steps = [curve(np.clip(values + s * 2.5 / top, 0, 1)) for s in (-1, 1)]
+    assert (found >= steps[0] - 1e-3).all() and (found <= steps[1] + 1e-3).all()
+    path.write_bytes(data[:at] + struct.pack(">H", 99) + data[at + 2 :])
+    with pytest.raises(InputError, match=rf"a\.{kind}: .*unknown transfer code 99"):
+        read_image_file(path)
 
 
 def test_without_tags_the_type_decides():

@@ -34,7 +34,7 @@ class Report:
     def record(self) -> dict[str, Any]:
         """JSON values."""
         record: dict[str, Any] = {
-            "folder": str(self.selection.folder),
+            "folder": self.selection.title,
             "photographs": [*self.selection.names],
             "left_out": self.selection.left_out,
             "findings": [finding.record() for finding in self.findings],

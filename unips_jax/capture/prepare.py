@@ -43,15 +43,14 @@ def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> 
         InputError: if the dark frame is of another kind, or brighter than a photograph.
     """
     images = capture.images
-    pixels = dark.pixels
+    table = dark.encoding.table
+    pixels = dark.pixels if table is None else table[dark.pixels]
     if pixels.shape[:2] != images.shape[1:3] or pixels.dtype != images.dtype:
         raise InputError(
             f"{dark.path}: expected a dark frame as the photographs, "
             f"{list(images.shape[1:3])} of {images.dtype}, got "
             f"{list(pixels.shape[:2])} of {pixels.dtype}; take it as the others"
         )
-    if dark.encoding.table is not None:
-        pixels = dark.encoding.table[pixels]
     ambient = as_linear(pixels, capture.transfer)
     wide = np.float32 if images.dtype == np.float32 else np.uint16
     result = np.empty(images.shape, wide)

@@ -2,22 +2,42 @@
 
 import contextlib
 import dataclasses
+import os
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import cv2
 import numpy as np
 import tifffile
 
 from unips_jax.errors import InputError
-from unips_jax.io.images import MAX_PIXELS, write_image
+from unips_jax.io.color import CURVES, encoding_of, srgb_encode
+from unips_jax.io.formats.boxes import known_code, transfer_code
+from unips_jax.io.formats.encoded import NotRead
+from unips_jax.io.formats.raster import marked_srgb
+from unips_jax.io.formats.tiff import count_pages
+from unips_jax.io.images import MAX_PIXELS, encode_image
 from unips_jax.io.naming import VIDEO_SUFFIXES
 
 KEYFRAMES = 12
 """Frames that are taken of a video by default."""
 
 _LOOKED_AT = 300  # frames
+_MOST_FRAMES = 100_000  # of a video: an hour
+_MOST_PAGES = 4096  # of a TIFF
+_MOST_BOXES = 1 << 26  # bytes of what describes a video
+_VIDEO = re.compile(
+    rb"....(?:ftyp|moov|mdat|wide|free|skip)|RIFF....AVI |\x1a\x45\xdf\xa3|"
+    rb"\x30\x26\xb2\x75|\x00\x00\x01[\xb3\xba]|(?:.{4})?\x47",
+    re.DOTALL,
+)
+"""How MP4, AVI, Matroska, WMV, MPEG and its transport streams begin. Others, such as
+play lists that name files elsewhere, do not reach the decoder."""
+_HDR = (16, 18)  # which decoders tone-map or not, by their version
+_MATROSKA_COLOURS = re.compile(rb"\x55\xb0.{1,60}?\x55\xba\x81(.)", re.DOTALL)
 _THUMB = 48  # pixels of the longer side
 _SHARP = 0.8  # of the sharpest of neighbours
 _NEIGHBOURS = 2
@@ -47,16 +67,25 @@ def unpacked(
     with tempfile.TemporaryDirectory(prefix="unips-") as place:
         folder = Path(place) / path.stem
         folder.mkdir()
-        if path.suffix.lower() in VIDEO_SUFFIXES:
-            _unpack_video(path, folder, frames, max_pixels)
-        else:
-            _unpack_pages(path, folder, max_pixels)
-        yield folder
+        try:
+            if path.suffix.lower() in VIDEO_SUFFIXES:
+                _unpack_video(path, folder, frames, max_pixels)
+            else:
+                _unpack_pages(path, folder, max_pixels)
+            yield folder
+        except InputError as error:
+            # The folder is gone when the message is read.
+            part = re.escape(str(folder)) + r"(?:/([^:,;]+)\.\w+)?"
+            text = re.sub(part, lambda m: f"{path} {m[1] or ''}".rstrip(), str(error))
+            raise InputError(text) from None
 
 
 def _unpack_pages(path: Path, folder: Path, max_pixels: int) -> None:
     try:
-        with tifffile.TiffFile(path) as tiff:
+        with path.open("rb") as opened:
+            count_pages(opened, _MOST_PAGES)
+        # Of an OME-TIFF other files may be parts.
+        with tifffile.TiffFile(path, is_ome=False) as tiff:
             images = _pages(tiff, path, max_pixels)
             for index, (pixels, icc) in enumerate(images, 1):
                 tifffile.imwrite(
@@ -119,6 +148,7 @@ class _Seen:
 
 
 def _unpack_video(path: Path, folder: Path, frames: int, max_pixels: int) -> None:
+    table = _table(path)
     seen = _look_through(path, max_pixels)
     if len(seen) < 2:
         raise InputError(
@@ -126,9 +156,56 @@ def _unpack_video(path: Path, folder: Path, frames: int, max_pixels: int) -> Non
             "can be read; export it as MP4 (H.264)"
         )
     chosen = {seen[i].number for i in choose_frames(seen, frames)}
-    for number, frame in _frames(path, max_pixels):
+    for number, seconds, frame in _frames(path, max_pixels):
         if number in chosen:
-            write_image(folder / f"frame_{number:05}.png", frame[..., ::-1])
+            pixels = frame[..., ::-1]
+            data = encode_image(".png", pixels if table is None else table[pixels])
+            name = f"at_{int(seconds // 60):02}m{seconds % 60:06.3f}s.png"
+            (folder / name).write_bytes(data if table is None else marked_srgb(data))
+
+
+def _table(path: Path) -> np.ndarray | None:
+    """What replaces a video's 8-bit values, so that they are sRGB; see `io.color`."""
+    try:
+        with path.open("rb") as opened:
+            head = opened.read(1 << 16)
+            if not _VIDEO.match(head):
+                raise InputError(
+                    f"{path}: expected a video, got a file that does not begin like "
+                    "one; export it as MP4 (H.264)"
+                )
+            found = _MATROSKA_COLOURS.search(head)
+            code = found[1][0] if found else transfer_code(_description(opened))
+        if code in _HDR:
+            kind = f"an HDR video ({CURVES[code][0]})"
+            raise NotRead(kind, "record or export it without HDR, as H.264")
+        encoding = encoding_of(np.uint8, code=known_code(code, "a video"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except NotRead as error:
+        raise InputError(
+            f"{path}: expected a video that can be read, got {error}; {error.fix}"
+        ) from None
+    if encoding.transfer == "linear":
+        levels = np.arange(256) / 255
+        return np.rint(srgb_encode(levels) * 65535).astype(np.uint16)
+    return encoding.table
+
+
+def _description(opened: BinaryIO) -> bytes:
+    """An MP4's box `moov`; empty where there is none."""
+    place, end = 0, opened.seek(0, os.SEEK_END)
+    for _ in range(_MOST_PAGES):
+        opened.seek(place)
+        head = opened.read(16)
+        if len(head) < 8:
+            break
+        size = int.from_bytes(head[:4], "big")
+        size = int.from_bytes(head[8:], "big") if size == 1 else size or end - place
+        if head[4:8] == b"moov":
+            return opened.read(min(size, _MOST_BOXES))
+        place += max(size, 8)
+    return b""
 
 
 def choose_frames(seen: list[_Seen], count: int) -> list[int]:
@@ -163,7 +240,7 @@ def _look_through(path: Path, max_pixels: int) -> list[_Seen]:
     capture.release()
     step = max(1, total // _LOOKED_AT)
     seen = []
-    for number, frame in _frames(path, max_pixels, step):
+    for number, _, frame in _frames(path, max_pixels, step):
         grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.float32)
         small = _reduced(grey, _THUMB / max(grey.shape))
         fine, coarse = (
@@ -182,21 +259,31 @@ def _reduced(grey: np.ndarray, scale: float) -> np.ndarray:
 
 def _frames(
     path: Path, max_pixels: int, step: int = 1
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Numbers and pixels, `[H, W, 3]` (BGR), of every `step`-th frame."""
+) -> Iterator[tuple[int, float, np.ndarray]]:
+    """Numbers, times in s and pixels, `[H, W, 3]` (BGR), of every `step`-th frame."""
     capture = cv2.VideoCapture(str(path))
     try:
-        width, height = (
-            int(capture.get(side))
-            for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        width, height, rate = (
+            capture.get(what)
+            for what in (
+                cv2.CAP_PROP_FRAME_WIDTH,
+                cv2.CAP_PROP_FRAME_HEIGHT,
+                cv2.CAP_PROP_FPS,
+            )
         )
-        _check_size(path, height, width, max_pixels)
+        _check_size(path, int(height), int(width), max_pixels)
+        rate = rate if 0.1 < rate < 10_000 else 25.0
         number = 0
         while capture.grab():
             if number % step == 0:
                 good, frame = capture.retrieve()
                 if good:
-                    yield number, frame
+                    yield number, number / rate, frame
             number += 1
+            if number > _MOST_FRAMES:
+                raise InputError(
+                    f"{path}: expected a video of at most {_MOST_FRAMES:,} frames, got "
+                    "more; cut out the part that shows the object"
+                )
     finally:
         capture.release()

@@ -71,16 +71,17 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(json.dumps(reports, indent=2, ensure_ascii=False))
 
 
-def _check(folder: Path, options: Options) -> Report:
+def _check(folder: Path, options: Options, source: Path | None = None) -> Report:
     if is_container(folder):
         with unpacked(folder, max_pixels=options.max_pixels) as place:
-            return _check(place, options)
+            return _check(place, options, folder)
     selection = select(
         folder,
         mask_file=options.mask if isinstance(options.mask, Path) else None,
         include=options.include,
         exclude=options.exclude,
     )
+    selection = dataclasses.replace(selection, source=source)
     if options.mask == "none":
         selection = dataclasses.replace(selection, mask_file=None)
     return check_photographs(

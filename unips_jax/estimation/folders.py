@@ -141,7 +141,7 @@ def estimate_folder(
                 overwrite,
                 verbose,
                 on_progress,
-                {"folder": str(folder)},
+                source=folder,
             )
     return _estimate(folder, target, network, options, overwrite, verbose, on_progress)
 
@@ -154,24 +154,27 @@ def _estimate(
     overwrite: bool,
     verbose: bool,
     on_progress: Progress | None,
-    facts: dict[str, Any] | None = None,
+    *,
+    source: Path | None = None,
 ) -> dict[str, Any]:
     """Does what `estimate_folder` does, to a folder."""
     clear_leftovers(target.parent)
     earlier = None if overwrite else read_record(target)
     selection = chosen_photographs(folder, options)
+    selection = dataclasses.replace(selection, source=source)
     if earlier is not None:
         made_from = _input_record(
             selection, network, options, HashingReader(options.max_pixels)
         )
         if same_inputs(earlier, made_from):
             if verbose:
-                print(f"{folder}: {target} is up to date; --overwrite makes it anew")
+                title = selection.title
+                print(f"{title}: {target} is up to date; --overwrite makes it anew")
             return earlier
     estimate = estimate_selection(
         selection, network, options, verbose=verbose, on_progress=on_progress
     )
-    return write_estimate(target, estimate, options, facts=facts, verbose=verbose)
+    return write_estimate(target, estimate, options, verbose=verbose)
 
 
 def estimate_selection(
@@ -211,7 +214,7 @@ def estimate_selection(
     if verbose:
         print_record(record)
         for warning in warnings:
-            print(f"warning: {selection.folder}: {warning}", file=sys.stderr)
+            print(f"warning: {selection.title}: {warning}", file=sys.stderr)
     estimate = functools.partial(
         estimate_with_lights,
         network.network,
@@ -228,7 +231,7 @@ def estimate_selection(
     bad = np.count_nonzero(~np.isfinite(found.normals).all(axis=-1))
     if bad:
         raise InputError(
-            f"{selection.folder}: expected normals, got values that are not finite at "
+            f"{selection.title}: expected normals, got values that are not finite at "
             f"{bad} of {np.count_nonzero(mask)} pixels; nothing was written. Look for "
             "extreme values in the photographs, or try other weights"
         )

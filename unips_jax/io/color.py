@@ -2,6 +2,7 @@
 
 import dataclasses
 import struct
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -46,17 +47,61 @@ class Encoding:
         return np.array_equal(self.table, other.table)
 
 
+def _camera(x: np.ndarray) -> np.ndarray:
+    return np.where(x < 0.081, x / 4.5, ((x + 0.099) / 1.099) ** (1 / 0.45))
+
+
+def _adobe(x: np.ndarray) -> np.ndarray:
+    return np.where(x < 0.0913, x / 4, ((x + 0.1115) / 1.1115) ** (1 / 0.45))
+
+
+def _pq(x: np.ndarray) -> np.ndarray:
+    root = x ** (32 / 2523)
+    return (np.maximum(root - 107 / 128, 0) / (2413 / 128 - 2392 / 128 * root)) ** (
+        8192 / 1305
+    )
+
+
+def _hlg(x: np.ndarray) -> np.ndarray:
+    a, b, c = 0.17883277, 0.28466892, 0.55991073
+    return np.where(x <= 0.5, x**2 / 3, (np.exp((x - c) / a) + b) / 12)
+
+
+CURVES: dict[int, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
+    **dict.fromkeys((1, 6, 11, 12, 14, 15), ("BT.709", _camera)),
+    4: ("gamma 2.2", lambda x: x**2.2),
+    5: ("gamma 2.8", lambda x: x**2.8),
+    7: ("SMPTE 240M", _adobe),
+    8: ("linear", lambda x: x),
+    9: ("logarithm", lambda x: np.where(x > 0, 10 ** (2 * (x - 1)), 0)),
+    10: ("logarithm", lambda x: np.where(x > 0, 10 ** (2.5 * (x - 1)), 0)),
+    13: ("sRGB", lambda x: as_linear(x.astype(np.float32), "srgb")),
+    16: ("PQ", _pq),
+    17: ("SMPTE 428", lambda x: 52.37 / 48 * x**2.6),
+    18: ("HLG", _hlg),
+}
+"""Light by values in [0, 1], for the transfer codes of ITU-T H.273, table 3: of cameras
+the scene's light (BT.709, HLG), of displays theirs (PQ, of 10,000 cd/m2)."""
+
+
 def encoding_of(
-    dtype: DTypeLike, *, icc: bytes = b"", gamma: float = 0, srgb: bool = False
+    dtype: DTypeLike,
+    *,
+    icc: bytes = b"",
+    code: int = 0,
+    gamma: float = 0,
+    srgb: bool = False,
 ) -> Encoding:
     """How a file's values encode light: by its colour profile, tags or type, in turn.
 
-    A curve other than linear and sRGB, such as ProPhoto's, is made sRGB by a table.
+    A curve other than linear and sRGB, such as ProPhoto's, is made sRGB by a table; one
+    of a transfer code has 16 bits, since PQ puts all that papers reflect below 2%.
     Without any tag 8 bit is sRGB, since cameras, phones and programs write it so, and
     16 bit and float linear, since raw converters for measurement, data sets and
     renderers write them so.
 
     Args:
+        code: a key of `CURVES`; 0 where unknown.
         gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unknown.
         srgb: whether another tag says sRGB.
     """
@@ -65,6 +110,10 @@ def encoding_of(
         return _encoding(np.dtype(dtype), curve, "colour profile in the file")
     if icc:  # by tables, as of printers and of sRGB's own fourth version
         return Encoding("srgb", "colour profile in the file, taken as sRGB")
+    if code:
+        name, curve_of = CURVES[code]
+        curve = np.clip(curve_of(np.linspace(0, 1, _SAMPLES)), 0, 1)
+        return _encoding(np.dtype(dtype), curve, f"{name} code in the file", np.uint16)
     if srgb:
         return Encoding("srgb", "sRGB tag in the file")
     if gamma > 0:
@@ -123,7 +172,9 @@ def _tone_curve(tag: bytes) -> np.ndarray:
     return np.clip(np.where(x >= first, power, low), 0, 1)
 
 
-def _encoding(dtype: np.dtype, curve: np.ndarray, rule: str) -> Encoding:
+def _encoding(
+    dtype: np.dtype, curve: np.ndarray, rule: str, wide: DTypeLike = None
+) -> Encoding:
     x = np.linspace(0, 1, _SAMPLES, dtype=np.float32)
     if np.abs(curve - x).max() < _ALIKE:
         return Encoding("linear", f"{rule}, linear")
@@ -133,7 +184,8 @@ def _encoding(dtype: np.dtype, curve: np.ndarray, rule: str) -> Encoding:
         return Encoding("linear", f"floating-point values, in spite of the {rule}")
     top = np.iinfo(dtype).max
     linear = np.interp(np.linspace(0, 1, top + 1), x, curve)
-    table = np.rint(srgb_encode(linear) * top).astype(dtype)
+    stored = np.dtype(wide or dtype)
+    table = np.rint(srgb_encode(linear) * np.iinfo(stored).max).astype(stored)
     return Encoding("srgb", f"{rule}, of its own, made sRGB", table)
 
 

@@ -168,13 +168,15 @@ class _Stack:
     ) -> None:
         self.first = dataclasses.replace(first, pixels=first.pixels[:0], alpha=None)
         self.mask = mask
-        self.images = np.empty((count, *mask.shape, 3), first.pixels.dtype)
-        self.brightest = np.zeros(mask.shape, first.pixels.dtype)
-        self.opaque = np.ones(mask.shape, bool)
-        self.given = transfer is not None
         self.encoding = (
             first.encoding if transfer is None else Encoding(transfer, "--transfer")
         )
+        table = self.encoding.table
+        dtype = first.pixels.dtype if table is None else table.dtype
+        self.images = np.empty((count, *mask.shape, 3), dtype)
+        self.brightest = np.zeros(mask.shape, dtype)
+        self.opaque = np.ones(mask.shape, bool)
+        self.given = transfer is not None
         self.turned: list[str] = []
         self.cameras: list[str] = []
         self.exposures: list[float] = []
@@ -197,9 +199,8 @@ class _Stack:
         self.exposures.append(file.header.exposure)
         image = self.images[self._size]
         self._size += 1
-        image[:] = file.pixels
-        if self.encoding.table is not None:
-            image[:] = self.encoding.table[image]
+        table = self.encoding.table
+        image[:] = file.pixels if table is None else table[file.pixels]
         if image.dtype == np.float32:
             require_finite(file.path, image[self.mask])
             np.nan_to_num(image, copy=False, nan=0, posinf=0, neginf=0)
@@ -239,7 +240,7 @@ def _require_room(selection: Selection, shape: tuple[int, ...], limit: int) -> N
     count = len(selection.files)
     if count * shape[0] * shape[1] > _FILES * limit:
         raise InputError(
-            f"{selection.folder}: expected at most {_FILES * limit:,} pixels in all "
+            f"{selection.title}: expected at most {_FILES * limit:,} pixels in all "
             f"photographs, got {count} of {_size(shape)} = "
             f"{count * shape[0] * shape[1]:,}; make them smaller, use --max-images, or "
             "raise --max-pixels"
@@ -281,10 +282,10 @@ def _require_alike(file: ImageFile, first: ImageFile, images: np.ndarray) -> Non
             f"{first.path.name}, got {_size(shape)}; photographs of one object must be "
             "taken by one camera that does not move: remove or re-export it"
         )
-    if dtype != images.dtype:
+    if dtype != first.pixels.dtype:
         raise InputError(
-            f"{file.path}: expected {images.dtype} pixels as {first.path.name}, got "
-            f"{dtype}; export all photographs in the same way"
+            f"{file.path}: expected {first.pixels.dtype} pixels as {first.path.name}, "
+            f"got {dtype}; export all photographs in the same way"
         )
 
 

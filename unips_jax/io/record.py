@@ -62,7 +62,7 @@ def input_record(
         "unips_jax": __version__,
         "code": code,
         "weights": weights,
-        "folder": str(selection.folder),
+        "folder": selection.title,
         "images": {file.name: reader.hash(file) for file in selection.files},
         "left_out": selection.left_out,
         "mask": None if mask is None else str(mask),
@@ -135,7 +135,7 @@ def summary(record: dict[str, Any]) -> str:
 
 def print_selection(selection: Selection) -> None:
     """Prints which photographs are used, and which files are not and why."""
-    print(f"{selection.folder}: {len(selection.files)} photographs")
+    print(f"{selection.title}: {len(selection.files)} photographs")
     print_line("used", ", ".join(selection.names))
     for reason, names in selection.left_out.items():
         print_line("left out", f"{', '.join(names)} ({reason})")

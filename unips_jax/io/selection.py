@@ -75,12 +75,19 @@ class Selection:
         files: the photographs, sorted by name; at least one.
         left_out: for each reason, the names left out for it.
         mask_file: the mask, or None.
+        source: the file that the photographs lie in, where the folder is temporary.
     """
 
     folder: Path
     files: tuple[Path, ...]
     left_out: dict[str, list[str]]
     mask_file: Path | None
+    source: Path | None = None
+
+    @property
+    def title(self) -> str:
+        """What messages call the set."""
+        return str(self.source or self.folder)
 
     @property
     def names(self) -> tuple[str, ...]:

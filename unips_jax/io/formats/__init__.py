@@ -8,6 +8,7 @@ raise on damaged data, in whatever thread. A kind that is not read is refused by
 name.
 """
 
+import io
 import re
 from collections.abc import Callable
 
@@ -85,6 +86,7 @@ def _opener(data: bytes) -> Callable[[bytes], Encoded]:
 
 def _open_tiff(data: bytes) -> Encoded:
     """A TIFF, or a camera's raw file that is one by its form."""
+    tiff.count_pages(io.BytesIO(data), tiff.PAGES)
     if name := tiff.raw_kind(data):
         return camera.open_raw(data, name)
     return tiff.open_tiff(data)

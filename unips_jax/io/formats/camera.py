@@ -9,13 +9,16 @@ white; 16 bit, linear.
 import io
 from typing import Any
 
+import imagecodecs
 import numpy as np
 from PIL import Image, features
 
+from unips_jax.io.formats.boxes import av1_bits, known_code, transfer_code
 from unips_jax.io.formats.encoded import Encoded, NotRead, exif_facts
 from unips_jax.io.formats.exr import quiet
 
 _FLIPS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's and EXIF's orientations
+_BOXES = 1 << 20  # bytes at the beginning, in which what describes the picture lies
 _BYTE = np.dtype(np.uint8)
 
 
@@ -77,8 +80,10 @@ def open_heic(data: bytes) -> Encoded:
         raise NotRead(
             "a HEIC picture", "install unips-jax[heif], or export it as PNG or TIFF"
         ) from None
-    image: Any = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=True)
-    channels = {"L": 1, "RGB": 3, "RGBA": 4}.get(image.mode)
+    code = known_code(transfer_code(data[:_BOXES]), "a HEIC picture")
+    image: Any = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
+    mode, _, deep = image.mode.partition(";")
+    channels = {"L": 1, "RGB": 3, "RGBA": 4}.get(mode)
     if channels is None:
         raise NotRead(f"a HEIC picture of {image.mode} pixels")
     width, height = image.size
@@ -89,10 +94,11 @@ def open_heic(data: bytes) -> Encoded:
         width,
         channels,
         channels == 4,
-        _BYTE,
+        np.dtype(np.uint16) if deep else _BYTE,
         lambda: np.asarray(image),
         icc=image.info.get("icc_profile") or b"",
-        **(facts | {"orientation": 1}),
+        code=code,
+        **(facts | {"orientation": 1, "srgb": facts["srgb"] or bool(deep)}),
     )
 
 
@@ -101,17 +107,30 @@ def open_avif(data: bytes) -> Encoded:
     if not features.check("avif"):
         raise NotRead("an AVIF picture (Pillow was built without AVIF)")
     image = Image.open(io.BytesIO(data), formats=("AVIF",))
-    if getattr(image, "n_frames", 1) > 1:
+    if getattr(image, "is_animated", False):
         raise NotRead("an animated AVIF")
     mode = "RGBA" if image.mode == "RGBA" else "RGB"
+    bits = av1_bits(data[:_BOXES])
+    facts = exif_facts(image.info.get("exif") or b"")
+
+    def decode() -> np.ndarray:
+        if bits == 8:
+            return np.array(image.convert(mode))
+        pixels = imagecodecs.avif_decode(data)  # Pillow keeps 8 bits
+        if pixels.shape[-1] != len(mode):
+            pixels = np.repeat(pixels.reshape(image.height, image.width, -1), 3, -1)
+        top = 2**bits - 1
+        return ((pixels.astype(np.uint32) * 65535 + top // 2) // top).astype(np.uint16)
+
     return Encoded(
         "AVIF",
         image.height,
         image.width,
         len(mode),
         mode == "RGBA",
-        _BYTE,
-        lambda: np.array(image.convert(mode)),
+        _BYTE if bits == 8 else np.dtype(np.uint16),
+        decode,
         icc=image.info.get("icc_profile") or b"",
-        **exif_facts(image.info.get("exif") or b""),
+        code=known_code(transfer_code(data[:_BOXES]), "an AVIF picture"),
+        **(facts | {"srgb": facts["srgb"] or bits > 8}),
     )

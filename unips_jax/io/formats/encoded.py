@@ -49,6 +49,7 @@ class Encoded:
         orientation: by EXIF, 1 (upright) to 8.
         focal_35mm: 35 mm equivalent of the focal length in mm; 0 where unknown.
         icc: the colour profile; empty where there is none.
+        code: of the transfer function, a key of `color.CURVES`; 0 where unknown.
         gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unknown.
         srgb: whether a tag other than the profile says sRGB.
         camera: its maker and model; empty where unknown.
@@ -67,6 +68,7 @@ class Encoded:
     orientation: int = 1
     focal_35mm: float = 0
     icc: bytes = b""
+    code: int = 0
     gamma: float = 0
     srgb: bool = False
     camera: str = ""
@@ -75,7 +77,9 @@ class Encoded:
     @property
     def encoding(self) -> Encoding:
         """How its values encode light."""
-        return encoding_of(self.dtype, icc=self.icc, gamma=self.gamma, srgb=self.srgb)
+        return encoding_of(
+            self.dtype, icc=self.icc, code=self.code, gamma=self.gamma, srgb=self.srgb
+        )
 
 
 def exif_facts(block: bytes) -> dict[str, Any]:

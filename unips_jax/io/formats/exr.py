@@ -21,6 +21,7 @@ from unips_jax.io.selection import is_map
 
 MAGIC = b"\x76\x2f\x31\x01"
 
+_SHOWN = 20  # channels
 _HEADERS = {"separate_channels": True, "header_only": True}
 
 
@@ -155,7 +156,9 @@ def _picture(headers: Sequence[dict[str, Any]], vectors: bool) -> tuple[int, lis
     }
     if len(pictures) == 1:
         return next(iter(pictures.values()))
+    shown = ", ".join(sorted(everything)[:_SHOWN]) or "none"
+    more = f" and {len(everything) - _SHOWN} more" if len(everything) > _SHOWN else ""
     raise NotRead(
-        f"an EXR with the channels {', '.join(sorted(everything)) or 'none'}, not R, "
-        "G, B or Y in one layer that is no map"
+        f"an EXR with the channels {shown}{more}, not R, G, B or Y in one layer that "
+        "is no map"
     )

@@ -14,25 +14,27 @@ import numpy as np
 import simplejpeg
 from PIL import Image
 
+from unips_jax.io.formats.boxes import known_code
 from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, exif_facts
 
 # Its warnings, of chunks that are not needed, do not belong on a user's terminal.
 logging.getLogger("imagecodecs").addHandler(logging.NullHandler())
 
+_MARKER = re.compile(rb"\xff([^\0\xff])", re.DOTALL)
 JPEG_MAGIC = b"\xff\xd8\xff"
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC9, 0xCA}  # baseline, extended, progressive
 _OTHER_FRAMES = {0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
-_CODED: dict[int, dict[str, Any]] = {8: {"gamma": 1.0}, 13: {"srgb": True}}
 _PROFILE_LIMIT = 4 << 20  # bytes of a colour profile
+_PARTS = 4096  # segments or chunks of one file, of which some dozens are usual
 _BYTE = np.dtype(np.uint8)
 
 
 def open_jpeg(data: bytes) -> Encoded:
     """Reads a JPEG's segments; see `formats.open_encoded`."""
-    frame, exif, icc, kept = None, b"", b"", [data[:2]]
+    frame, exif, icc, kept = None, b"", [], [data[:2]]
     for marker, start, end in jpeg_segments(data):
         kept.append(data[start - 4 : end])
         if marker in _OTHER_FRAMES:
@@ -42,7 +44,7 @@ def open_jpeg(data: bytes) -> Encoded:
         if marker == 0xE1 and data[start : start + 6] == b"Exif\0\0":
             exif = exif or data[start:end]
         if marker == 0xE2 and data[start : start + 12] == b"ICC_PROFILE\0":
-            icc += data[start + 14 : end]
+            icc.append(data[start + 14 : end])
     if frame is None:
         raise Damaged("without a frame")
     bits, height, width, channels = frame
@@ -65,7 +67,7 @@ def open_jpeg(data: bytes) -> Encoded:
             if channels == 1
             else simplejpeg.decode_jpeg(clean, colours, strict=True)
         ),
-        icc=icc,
+        icc=b"".join(icc),
         **exif_facts(exif),  # type: ignore[arg-type]
     )
 
@@ -77,22 +79,23 @@ def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
         data: the file's bytes. `start` is behind marker and length.
     """
     position = 2
-    while position + 4 <= len(data):
-        marker = data[position + 1]
-        if data[position] != 0xFF or marker in (0, 0xFF):
-            position += 1  # what decoders pass over between segments
-            continue
-        length = int.from_bytes(data[position + 2 : position + 4], "big")
-        yield marker, position + 4, position + 2 + length
-        if marker == 0xDA:
+    for _ in range(_PARTS):
+        # Decoders pass over what lies between segments.
+        found = _MARKER.search(data, position)
+        if found is None or found.end() + 2 > len(data):
             return
-        position += 2 + length
+        start = found.end() + 2
+        position = found.end() + int.from_bytes(data[found.end() : start], "big")
+        yield found[1][0], start, position
+        if found[1] == b"\xda":
+            return
+    raise Damaged(f"more than {_PARTS} segments")
 
 
 def open_png(data: bytes) -> Encoded:
     """Reads a PNG's chunks, checksums included; see `formats.open_encoded`."""
     chunks: dict[bytes, bytes] = {}
-    position = len(PNG_MAGIC)
+    position, others = len(PNG_MAGIC), 0
     while b"IEND" not in chunks:
         if position + 12 > len(data):
             raise Damaged("cut short")
@@ -104,7 +107,10 @@ def open_png(data: bytes) -> Encoded:
         if zlib.crc32(memoryview(data)[position + 4 : end - 4]) != checksum:
             raise Damaged("a checksum does not match")
         if kind != b"IDAT":
+            others += 1
             chunks.setdefault(kind, data[position + 8 : end - 4])
+        if others > _PARTS:
+            raise Damaged(f"more than {_PARTS} chunks without pixels")
         position = end
     if b"acTL" in chunks:
         raise NotRead("an animated PNG")
@@ -126,8 +132,8 @@ def open_png(data: bytes) -> Encoded:
 
 def _png_colours(chunks: dict[bytes, bytes]) -> dict[str, Any]:
     """Fields of `Encoded`: what the first of cICP, iCCP, sRGB and gAMA says."""
-    if (code := chunks.get(b"cICP", b"\0\0")[1]) in _CODED:
-        return _CODED[code]
+    if code := known_code(chunks.get(b"cICP", b"").ljust(2, b"\0")[1], "a PNG"):
+        return {"code": code}
     if icc := _unpacked_profile(chunks.get(b"iCCP", b"")):
         return {"icc": icc}
     if b"sRGB" in chunks:
@@ -135,6 +141,13 @@ def _png_colours(chunks: dict[bytes, bytes]) -> dict[str, Any]:
     if len(gamma := chunks.get(b"gAMA", b"")) == 4:
         return {"gamma": int.from_bytes(gamma, "big") / 100_000}
     return {}
+
+
+def marked_srgb(png: bytes) -> bytes:
+    """A PNG without tags, with one that its values are sRGB, whatever their bits."""
+    body = b"sRGB\0"
+    chunk = struct.pack(">I", 1) + body + struct.pack(">I", zlib.crc32(body))
+    return png[:33] + chunk + png[33:]  # behind signature and header
 
 
 def _unpacked_profile(chunk: bytes) -> bytes:
@@ -149,8 +162,11 @@ def _unpacked_profile(chunk: bytes) -> bytes:
 def open_webp(data: bytes) -> Encoded:
     """Reads a WebP's chunks; see `formats.open_encoded`."""
     chunks: dict[bytes, bytes] = {}
-    position = 12
+    position, parts = 12, 0
     while position + 8 <= len(data):
+        parts += 1
+        if parts > _PARTS:
+            raise NotRead(f"a WebP of more than {_PARTS} chunks")
         name, length = struct.unpack_from("<4sI", data, position)
         chunks.setdefault(name, data[position + 8 : position + 8 + length])
         position += 8 + length + length % 2
@@ -248,7 +264,7 @@ def open_by_pillow(data: bytes) -> Encoded:
     except Image.DecompressionBombError:
         return _beyond_pillow(data)
     name = image.format or "BMP"
-    if getattr(image, "n_frames", 1) > 1:
+    if getattr(image, "is_animated", False):  # counting frames would read them all
         raise NotRead(f"an animated {name}")
     transparent = "transparency" in image.info
     modes = {"1": "L", "L": "L", "P": "RGB", "RGB": "RGB", "RGBA": "RGBA"}

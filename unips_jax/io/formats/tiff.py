@@ -8,14 +8,20 @@ and palettes, with alpha of either kind, which is not divided out.
 
 import io
 import logging
+import struct
 import threading
+from typing import BinaryIO
 
 import numpy as np
 import tifffile
 
 from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, facts_of
 
-MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BIG = (b"II+\0", b"MM\0+")
+MAGICS = (b"II*\0", b"MM\0*", *_BIG)
+PAGES = 64
+"""The most directories of a photograph: previews and masks among them."""
+_MOST_TAGS = 1 << 16
 
 _COMPRESSIONS = (1, 2, 3, 4, 5, 8, 32773, 32946, 34925, 50000)
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE = range(4)
@@ -46,6 +52,36 @@ class _Complaints(logging.Handler):
 
 _COMPLAINTS = _Complaints()
 logging.getLogger("tifffile").addHandler(_COMPLAINTS)
+
+
+def count_pages(file: BinaryIO, most: int) -> int:
+    """How many directories a TIFF's chain has, before any library follows it.
+
+    Raises:
+        NotRead: if there are more than `most`.
+        Damaged: if the chain returns to where it was.
+    """
+    head = file.read(16)
+    order = "<" if head[:1] == b"I" else ">"
+    big = head[:4] in _BIG
+    number, entry, pointer = ("Q", 20, "Q") if big else ("H", 12, "I")
+    size, step = struct.calcsize(order + number), struct.calcsize(order + pointer)
+    (place,) = struct.unpack_from(
+        order + pointer, head.ljust(16, b"\0"), 8 if big else 4
+    )
+    seen: set[int] = set()
+    while place:
+        if place in seen:
+            raise Damaged("its pages lead back to one another")
+        seen.add(place)
+        if len(seen) > most:
+            raise NotRead(f"a TIFF of more than {most} pages", "save them as files")
+        file.seek(place)
+        (entries,) = struct.unpack(order + number, file.read(size).rjust(size, b"\0"))
+        file.seek(place + size + entry * min(entries, _MOST_TAGS))
+        link = file.read(step)
+        place = struct.unpack(order + pointer, link)[0] if len(link) == step else 0
+    return len(seen)
 
 
 def open_tiff(data: bytes) -> Encoded:
