@@ -344,6 +344,10 @@ def test_a_list_of_lights_names_the_photographs(tmp_path):
     selection = select(tmp_path)
     assert selection.names == ("rti 01.jpg", "rti 02.jpg")
     assert selection.left_out == {
+        "not understood in coin.lp": [
+            "coin.lp, line 5: no name and light, 'nonsense'",
+            "coin.lp: 3 lights by its first line, 4 there",
+        ],
         "not listed in coin.lp": ["Ball_mask.png", "setup.jpg"],
         "listed in coin.lp, but not there": ["rti 03.jpg"],
     }

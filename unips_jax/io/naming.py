@@ -1,10 +1,7 @@
-"""What lists and suffixes say about a folder's files."""
+"""What suffixes say about a folder's files."""
 
 import importlib.util
-import re
 from pathlib import Path
-
-from unips_jax.errors import InputError
 
 RAW_SUFFIXES = frozenset(
     ".dng .cr2 .cr3 .crw .nef .nrw .arw .srf .sr2 .raf .rw2 .rwl .orf .pef .srw .x3f"
@@ -22,41 +19,6 @@ _BETTER = (  # of a photograph in two formats; a camera's raw file is the best
     (".tif", ".tiff"),
     (".exr",),
 )
-_LIST_LIMIT = 1 << 20  # bytes of a list of lights
-
-
-def listed_photographs(path: Path) -> dict[str, str]:
-    """The images that a list of lights (.lp, of RTI) names, without their folders.
-
-    Args:
-        path: a text file; its lines are an image's name and a direction.
-
-    Returns:
-        From names in lower case to names.
-
-    Raises:
-        InputError: if it cannot be read.
-    """
-    try:
-        with path.open("rb") as opened:
-            text = opened.read(_LIST_LIMIT).decode(errors="replace")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    names = {}
-    for line in text.splitlines():
-        name, *direction = line.rsplit(None, 3) or [""]
-        if len(direction) == 3 and all(map(_is_number, direction)):
-            name = re.split(r"[/\\]", name.strip(' "'))[-1]
-            names[name.lower()] = name
-    return names
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def each_once(files: list[Path], left_out: dict[str, list[str]]) -> list[Path]:

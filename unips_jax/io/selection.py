@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.light_list import read_light_list
 from unips_jax.io.naming import (
     RAW_SUFFIXES,
     VIDEO_SUFFIXES,
     each_once,
-    listed_photographs,
 )
 
 SUFFIXES = RAW_SUFFIXES | frozenset(
@@ -225,20 +225,9 @@ def _by_name(
     left_out: dict[str, list[str]],
 ) -> list[Path]:
     """The photographs among images; adds the others to what is left out."""
-    lists = [e for e in entries if e.suffix.lower() == ".lp" and e.is_file()]
-    for path in lists:
-        listed = listed_photographs(path)
-        files = [file for file in images if file.name.lower() in listed]
-        if len(files) < 2:
-            continue
-        others = [file.name for file in images if file not in files]
-        if others:
-            left_out[f"not listed in {path.name}"] = others
-        there = {file.name.lower() for file in files}
-        missing = [name for key, name in listed.items() if key not in there]
-        if missing:
-            left_out[f"listed in {path.name}, but not there"] = missing
-        return files
+    for path in (e for e in entries if e.suffix.lower() == ".lp" and e.is_file()):
+        if files := _listed(path, images, left_out):
+            return files
     files = [file for file in images if not is_map(file.name)] or _series(images)
     maps = [file.name for file in images if file not in files]
     if maps:
@@ -251,6 +240,40 @@ def _by_name(
                 if others:
                     left_out[f"not named {prefix}* in a .data folder"] = others
                 return taken
+    return files
+
+
+def _listed(
+    path: Path, images: list[Path], left_out: dict[str, list[str]]
+) -> list[Path]:
+    """The photographs that a list of lights names, if only with another suffix."""
+    listed = read_light_list(path)
+    if listed.problems:
+        left_out[f"not understood in {path.name}"] = [*listed.problems]
+    by_name = {file.name.lower(): file for file in images}
+    by_stem: dict[str, list[Path]] = {}
+    for file in images:
+        by_stem.setdefault(file.stem.lower(), []).append(file)
+    found = {}
+    for name in listed.names:
+        alike = by_stem.get(Path(name).stem.lower(), []) or by_stem.get(
+            name.lower(), []
+        )
+        only = alike[0] if len(alike) == 1 else None
+        found[name] = by_name.get(name.lower(), only)
+    files = [file for file in images if file in found.values()]
+    if len(files) < 2:
+        reason = (
+            f"a list of {len(listed.names)} lights, {len(files)} of photographs here"
+        )
+        left_out[reason] = [path.name]
+        return []
+    others = [file.name for file in images if file not in files]
+    if others:
+        left_out[f"not listed in {path.name}"] = others
+    missing = [name for name, file in found.items() if file is None]
+    if missing:
+        left_out[f"listed in {path.name}, but not there"] = missing
     return files
 
 
