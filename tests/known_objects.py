@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from unips_jax.lighting import reflectance
-from unips_jax.scenes import SceneConfig, geometry, lights, sdf, tracing
+from unips_jax.scenes import SceneConfig, geometry, sdf, surroundings, tracing
 
 CONFIG = SceneConfig()
 FLAT = {"twist": 0.0, "lathe": 0.0, "mirror": 0.0, "wave_warp": 0.0, "wave_ridge": 0.0}
@@ -112,14 +112,14 @@ def matt(geometry_, color=0.6):
 def constant_environment(radiance):
     zeros = jnp.zeros(3)
     full = zeros + radiance
-    return lights.Environment(
+    return surroundings.Environment(
         rotation=jnp.eye(3)[None],
         zenith=full,
         horizon=full,
         ground=full,
-        axes=jnp.broadcast_to(jnp.eye(3), (lights.NUM_LOBES, 3, 3)),
-        half=jnp.full((lights.NUM_LOBES, 2), 0.1),
-        color=jnp.zeros((lights.NUM_LOBES, 3)),
+        axes=jnp.broadcast_to(jnp.eye(3), (surroundings.NUM_LOBES, 3, 3)),
+        half=jnp.full((surroundings.NUM_LOBES, 2), 0.1),
+        color=jnp.zeros((surroundings.NUM_LOBES, 3)),
         clutter=jnp.float32(0),
         clutter_frequency=jnp.float32(1),
         scale=jnp.ones(1),

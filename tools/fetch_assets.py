@@ -13,7 +13,7 @@ The second writes `assets/meshes/`, ten shapes from Python packages: those of th
 set `unips render --engine cycles --preset ps-wild-real --meshes assets/meshes`, which
 nothing is to be trained on.
 
-Both write their licences beside. An archive whose hash is not the one below is refused.
+Both list the licences. An archive whose hash is not the one below is refused.
 """
 
 import argparse
@@ -146,12 +146,9 @@ def environments_of(archive: bytes) -> dict[str, bytes]:
 def split_sun(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Takes the brightest spot out of an environment, if it holds much of its light.
 
-    Args:
-        picture: `[H, W, 3]`, radiance, equirectangular, the zenith in row 0.
-
     Returns:
-        The rest, the spot's direction `[3]`, and its irradiance on what faces it,
-        `[3]`; zero where there is no such spot.
+        The rest `[H, W, 3]`, the spot's direction `[3]`, and its irradiance on what
+        faces it, `[3]`; zero where there is no such spot.
     """
     towards, solid = directions_of(*picture.shape[:2])
     brightness = picture.mean(-1)
@@ -169,11 +166,7 @@ def split_sun(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def blurred(pictures: np.ndarray) -> np.ndarray:
-    """Environments averaged over lobes of `BLURS`, `[E, L, h, w, 3]`.
-
-    Args:
-        pictures: `[E, H, W, 3]`.
-    """
+    """Environments `[E, H, W, 3]` averaged over lobes of `BLURS`, `[E, L, h, w, 3]`."""
     out, _ = directions_of(*TABLE_SIZE)
     levels = []
     for blur in BLURS:
@@ -239,7 +232,7 @@ def _write_environments(folder: Path, tables: Path | None) -> None:
 
 @command
 def main(argv: Sequence[str] | None = None) -> None:
-    """Fetches, writes, and says what."""
+    """Fetches and writes."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

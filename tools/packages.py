@@ -16,7 +16,7 @@ def fetch(name: str, sha512: str, tool: tuple[str, ...] = NPM) -> bytes:
     """A package's archive.
 
     Args:
-        name: in its registry, with its version, as the tool takes it.
+        name: with its version, as the tool takes it.
         sha512: of the archive.
         tool: the command that writes the archive into the folder where it runs.
 

@@ -128,7 +128,7 @@ def test_intensities_told_are_those_of_a_lambertian_surface():
     job = assets.drawn_jobs(1, 5)[0]
     photographs = run._Photographs(Matt(), job, "directional", SETTINGS)
     images = list(photographs.render(mask))
-    facts = photographs.told()
+    facts = photographs.all_facts()
     for image, direction, intensity in zip(
         images, facts["light_directions"], facts["light_intensities"], strict=True
     ):
@@ -166,8 +166,11 @@ def test_failures_are_recorded_and_the_rest_is_rendered(
     with blender_process.Blender(stand_in) as blender:
         failed = run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
     assert failed == ["obj000", "obj002"]
-    said = {p.name: p.read_text() for p in (tmp_path / "set" / "failures").iterdir()}
-    assert "no faces" in said["obj000.txt"] and "died at 'build'" in said["obj002.txt"]
+    message = {p.name: p.read_text() for p in (tmp_path / "set" / "failures").iterdir()}
+    assert (
+        "no faces" in message["obj000.txt"]
+        and "died at 'build'" in message["obj002.txt"]
+    )
     assert len(list((tmp_path / "set" / "near").parent.glob("*/*.data"))) == 6
     monkeypatch.delenv("CRASH")
     monkeypatch.delenv("FAIL")
@@ -201,8 +204,8 @@ def test_a_bad_environment_costs_one_lighting(stand_in, tmp_path, capsys):
     assert render.main([*command, *more, *lit, "--sheet", str(sheet)]) == 2
     assert "2 of 2 objects could not be rendered" in capsys.readouterr().err
     failures = tmp_path / "set" / "failures"
-    said = (failures / "obj000.txt").read_text()
-    assert said.startswith("environment: ") and "sky.hdr" in said
+    message = (failures / "obj000.txt").read_text()
+    assert message.startswith("environment: ") and "sky.hdr" in message
     for place in ("directional", "near"):
         assert len(list((tmp_path / "set" / place).glob("*.data"))) == 2
     assert cv2.imread(str(sheet)).shape == (5 * 128, 2 * 128, 3)
@@ -254,8 +257,8 @@ def test_other_settings_are_refused(stand_in, tmp_path, capsys):
     command = ["--engine", "cycles", "-o", str(tmp_path / "s"), "--objects", "1"]
     assert render.main([*command, "--size", "24", "--images", "1"]) == 0
     assert render.main([*command, "--size", "32", "--images", "1"]) == 2
-    said = capsys.readouterr().err
-    assert "begun with other settings" in said and "'size': (24, 32)" in said
+    message = capsys.readouterr().err
+    assert "begun with other settings" in message and "'size': (24, 32)" in message
 
 
 def test_other_files_are_refused(stand_in, tmp_path, capsys):
@@ -285,10 +288,10 @@ def test_other_files_are_refused(stand_in, tmp_path, capsys):
     cv2.imwrite(str(maps / "a_roughness.png"), np.ones((8, 8, 3), np.uint8))
     listed.write_text("object,material,category\na,b,Metal\nc,d,Wood\n")
     assert render.main([*command, *given]) == 2
-    said = capsys.readouterr().err
+    message = capsys.readouterr().err
     for name in ("--environments a.hdr", "--materials maps/a_rough", "--manifest"):
-        assert f"'{name}" in said
-    assert said.count("\n") == 1 and "a_color" not in said
+        assert f"'{name}" in message
+    assert message.count("\n") == 1 and "a_color" not in message
 
 
 def test_our_scenes_do_not_become_a_set_of_cycles(stand_in, tmp_path, capsys):
@@ -300,8 +303,8 @@ def test_our_scenes_do_not_become_a_set_of_cycles(stand_in, tmp_path, capsys):
 def test_without_blender_it_says_how_to_get_it(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv(blender_process.VARIABLE, "/bin/false")
     assert render.main(["--engine", "cycles", "-o", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert "cannot import bpy" in said and "--setup" in said
+    message = capsys.readouterr().err
+    assert "cannot import bpy" in message and "--setup" in message
 
 
 @pytest.mark.parametrize("kind", lighting.LIGHTINGS)

@@ -171,5 +171,5 @@ def test_trees_are_reproducible_and_kept(tmp_path, capsys):
     assert render.main(["-o", str(tmp_path / "a"), *arguments]) == 0
     assert first[0].stat().st_mtime_ns == stamp
     assert render.main(["-o", str(tmp_path / "a"), *arguments[:-1], "5"]) == 2
-    said = capsys.readouterr().err
-    assert "expected a folder of {'seed': 5, 'size': 32, 'images': 2}" in said
+    message = capsys.readouterr().err
+    assert "expected a folder of {'seed': 5, 'size': 32, 'images': 2}" in message

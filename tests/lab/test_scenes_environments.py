@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from unips_jax.scenes import lights
+from unips_jax.scenes import lamps, surroundings
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.environments import (
     BLURS,
@@ -59,7 +59,7 @@ def test_it_closes_around_and_is_tinted():
 def _drawn(seed, rate, kind):
     key = jax.random.key(seed)
     photographs = (Draws(jax.random.fold_in(key, 2), 8), rate)
-    return lights.draw_lights(
+    return lamps.draw_lights(
         Draws(key, 400), jnp.int32(kind), 6, photographs=photographs
     )
 
@@ -86,12 +86,12 @@ def test_the_sun_is_the_key_light_or_a_lobe():
 
 def test_without_photographs_lights_are_as_ever():
     keys, environment = _drawn(3, 0.0, 1)
-    plain_keys, plain = lights.draw_lights(
+    plain_keys, plain = lamps.draw_lights(
         Draws(jax.random.key(3), 400), jnp.int32(1), 6
     )
     direction = tuple(jnp.asarray([[0.6, 0.0], [0.0, 1.0], [0.8, 0.0]]))
     seen, expected = (
-        lights.environment_radiance(e, e.rotation[0], direction, jnp.float32(0.2))
+        surroundings.environment_radiance(e, e.rotation[0], direction, jnp.float32(0.2))
         for e in (environment, plain)
     )
     np.testing.assert_allclose(seen, expected, rtol=1e-6)

@@ -13,7 +13,7 @@ from unips_jax.scenes import SceneConfig, folder_light
 from unips_jax.scenes import render as scenes_render
 from unips_jax.scenes.backdrop import Backdrop
 from unips_jax.scenes.incident import incident_light
-from unips_jax.scenes.lights import KeyLights
+from unips_jax.scenes.lamps import KeyLights
 
 GAIN = np.float32([[0.5, 1, 2]])
 

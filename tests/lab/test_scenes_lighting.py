@@ -7,7 +7,7 @@ import pytest
 from known_objects import constant_environment, look, make_shape, matt
 
 from unips_jax.lighting import reflectance
-from unips_jax.scenes import SceneConfig, grids, lights, shading
+from unips_jax.scenes import SceneConfig, grids, lamps, shading
 from unips_jax.scenes import render as scenes_render
 from unips_jax.scenes.folders import describe
 
@@ -35,7 +35,7 @@ def test_bounced_light_is_the_mean_or_what_is_near(sphere):
     surface, dark = matt(sphere), constant_environment(0.0)
     hidden = sphere._replace(visibility=0.0 * sphere.visibility)
     light = jnp.asarray([[1.0, 0, 0.3]])
-    keys = lights.KeyLights(light, jnp.zeros(1), jnp.zeros(1), jnp.ones((1, 3)))
+    keys = lamps.KeyLights(light, jnp.zeros(1), jnp.zeros(1), jnp.ones((1, 3)))
 
     def shine(near):
         image = shading.radiance(hidden, surface, keys, dark, SceneConfig(), near)
@@ -180,7 +180,7 @@ def test_constant_environment_never_amplifies(sphere):
 
 def test_mean_light_is_where_the_light_comes_from(sphere):
     def mean(vector, near, color, around):
-        keys = lights.KeyLights(
+        keys = lamps.KeyLights(
             vector=jnp.asarray([vector], jnp.float32),
             near=jnp.asarray([near], jnp.float32),
             radius=jnp.zeros(1),
@@ -200,7 +200,7 @@ def test_mean_light_is_where_the_light_comes_from(sphere):
 
 def test_near_light_falls_off_with_the_square_of_the_distance():
     point = tuple(jnp.asarray([c]) for c in (0.0, 0.0, 1.0))
-    direction, reach, factor = lights.key_light_at(
+    direction, reach, factor = lamps.key_light_at(
         jnp.asarray([0.0, 0.0, 3.0]), jnp.float32(1), point
     )
     assert [float(c[0]) for c in direction] == pytest.approx([0, 0, 1])

@@ -2,7 +2,7 @@
 
 The folders follow PS-Wild-Test: one per object and lighting, with 16-bit linear images
 L_*.png, mask.png, and normal.tif (n = 2 v / 65535 - 1, x right, y up, z to the viewer,
-background 32768); meta.json says what was drawn. Under directional light it holds
+background 32768); meta.json holds what was drawn. Under directional light it holds
 light_directions and light_intensities, such that a Lambertian surface appears as
 albedo x intensity x max(n . l, 0). Stop it whenever you like: started again, or several
 times at once, it only does what is left.

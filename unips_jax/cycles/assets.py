@@ -25,8 +25,12 @@ PICTURES = frozenset((".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr"))
 # a metal, "metalRoughness" both in one picture.
 _MAPS = {
     "packed": (
-        *("metallicroughness", "metallic_roughness", "metalroughness"),
-        *("roughnessmetallic", "_orm", "_arm"),
+        "metallicroughness",
+        "metallic_roughness",
+        "metalroughness",
+        "roughnessmetallic",
+        "_orm",
+        "_arm",
     ),
     "baseColor": ("albedo", "diffuse", "_diff", "color", "colour", "_col"),
     "roughness": ("roughness", "rough"),
@@ -74,10 +78,7 @@ def find_files(folder: Path, suffixes: frozenset[str], option: str) -> list[Path
 
 
 def find_materials(folder: Path) -> dict[str, dict[str, Any]]:
-    """Texture sets: one folder each, their maps told by the ends of the files' names.
-
-    Args:
-        folder: holds them, at any depth.
+    """Texture sets: a folder each, at any depth; files' names end as their maps do.
 
     Returns:
         By the path below `folder`, what Blender's `materials.build` takes. The category
@@ -127,11 +128,7 @@ def drawn_jobs(
 ) -> list[Job]:
     """Objects `obj000`, `obj001`, ..., each of its own number and seed.
 
-    Args:
-        count: how many.
-        seed: of the set.
-        meshes: the user's; procedural shapes without.
-        materials: see `find_materials`; procedural ones without.
+    Without `meshes` of the user's, or `materials` (see `find_materials`), drawn ones.
     """
     jobs = []
     for index in range(count):

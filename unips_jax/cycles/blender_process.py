@@ -40,9 +40,9 @@ def find_python() -> str:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise InputError(f"{VARIABLE}={python}: cannot be run ({error})") from None
     if probe.returncode:
-        said = (probe.stderr.strip().splitlines() or ["no message"])[-1]
+        reason = (probe.stderr.strip().splitlines() or ["no message"])[-1]
         raise InputError(
-            f"{python} cannot import bpy ({said}); set up Blender's Python with "
+            f"{python} cannot import bpy ({reason}); set up Blender's Python with "
             f"`{SETUP}` and set {VARIABLE}=.venv-bpy/bin/python"
         )
     return python
@@ -52,12 +52,7 @@ class Blender:
     """A running `blender/worker.py`."""
 
     def __init__(self, python: str, *, threads: int = 0) -> None:
-        """Starts it.
-
-        Args:
-            python: has `bpy`; see `find_python`.
-            threads: of the renderer; 0 takes all cores.
-        """
+        """For a Python that has `bpy`; 0 threads of the renderer are all cores."""
         self._python, self._threads = python, threads
         self._folder = tempfile.TemporaryDirectory(prefix="unips-cycles-")
         self._process: subprocess.Popen[str] | None = None
@@ -103,7 +98,7 @@ class Blender:
 
         Args:
             do: a method of `blender.worker.Studio`.
-            limit_s: after so many seconds the process is given up.
+            limit_s: seconds after which the process is given up.
             arguments: of that method.
 
         Raises:

@@ -1,6 +1,6 @@
 """Sets like PS-Wild from presets, folders of the user's and a manifest.
 
-`cli.render_cycles` says what the options mean.
+The options are explained in `cli.render_cycles`.
 """
 
 import zlib
@@ -42,7 +42,7 @@ _ENVIRONMENTS = frozenset((".hdr", ".exr"))
 
 
 def _sizes(option: str, folder: Path, found: list[Path]) -> dict[str, int]:
-    """What tells the files of a folder from others, without reading them."""
+    """By which a folder of other files is recognised, without reading them."""
     return {
         f"{option} {path.relative_to(folder).as_posix()}": path.stat().st_size
         for path in found
@@ -64,11 +64,7 @@ class Plan(NamedTuple):
 
 
 def plan(preset: str = "test", **given: Any) -> Plan:
-    """What a preset and options ask for.
-
-    Args:
-        preset: one of `PRESETS`.
-        **given: see `cli.render_cycles.Options`; None is the preset's.
+    """What a preset and options ask for; of these None is the preset's.
 
     Raises:
         InputError: for bad input.
@@ -127,7 +123,7 @@ def render(
         preset: one of `PRESETS`.
         sheet: also a picture of the whole set.
         only: this object of it alone.
-        **given: see `cli.render_cycles.Options`; None is the preset's.
+        **given: as in `plan`.
 
     Raises:
         InputError: for bad input, and if objects had to be left out.
@@ -159,14 +155,7 @@ def render(
 def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
     """A column per object: its normals, then two photographs under each lighting.
 
-    What is missing of an object stays black.
-
-    Args:
-        root: of a set.
-        tile: side of the pictures in pixels.
-
-    Returns:
-        RGB uint8, photographs with the sRGB curve.
+    RGB uint8, photographs with the sRGB curve; what is missing of an object is black.
 
     Raises:
         InputError: if the set cannot be read.

@@ -77,12 +77,7 @@ def draw_light(
 def automatic_gain(radiance: np.ndarray, mask: np.ndarray) -> float:
     """The factor that puts the 99.5th percentile of the object at 0.9.
 
-    Args:
-        radiance: `[H, W, 3]`; the brightest channel of a pixel counts.
-        mask: `[H, W]` bool.
-
-    Returns:
-        1 where the object is black.
+    The brightest channel of a pixel counts; 1 where the object is black.
     """
     values = radiance.max(-1)[mask]
     bright = float(np.percentile(values, _PERCENTILE)) if values.size else 0.0

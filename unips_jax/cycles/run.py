@@ -68,9 +68,6 @@ class Truth(NamedTuple):
 def read_truth(channels: dict[str, np.ndarray]) -> Truth:
     """Takes the passes of `Studio.truth` apart.
 
-    Args:
-        channels: `[H, W]` each, by name.
-
     Returns:
         `mask [H, W]` bool, where there is an object with a unit normal; `normals
         [H, W, 3]`, zero outside; `depth [H, W]`, along the view axis, from the camera,
@@ -98,9 +95,7 @@ def read_photograph(channels: dict[str, np.ndarray], mask: np.ndarray) -> np.nda
 
     Pixels at the outline, which the object covers in part, are divided by that part.
 
-    Args:
-        channels: R, G, B, premultiplied, and A, `[H, W]` each.
-        mask: `[H, W]` bool.
+    The channels are R, G, B, premultiplied, and A, `[H, W]` each.
     """
     alpha = channels["A"]
     image = np.stack([channels[c] for c in "RGB"], -1)
@@ -203,7 +198,7 @@ class _Photographs:
             self.facts["gains"].append(gain)
             yield radiance * gain
 
-    def told(self) -> dict[str, Any]:
+    def all_facts(self) -> dict[str, Any]:
         facts: dict[str, Any] = dict(self.facts)
         for light in facts["lights"]:
             if light["environment"]:
@@ -221,13 +216,7 @@ class _Photographs:
 def render_object(
     blender: Blender, job: Job, settings: Settings, folders: dict[str, Path]
 ) -> None:
-    """Renders an object under several lightings, a folder each.
-
-    Args:
-        blender: renders.
-        job: the object.
-        settings: how.
-        folders: by lighting; must not exist.
+    """Renders an object under several lightings, into folders that do not exist yet.
 
     Raises:
         BlenderError: if the object cannot be rendered.
@@ -248,13 +237,13 @@ def render_object(
             unlit.append(f"{lighting}: {error}")
             continue
         images = list(photographs.render(truth.mask))
-        told = {k: getattr(settings, k) for k in ("size", "samples", "denoise")}
+        rendered = {k: getattr(settings, k) for k in ("size", "samples", "denoise")}
         write_folder(
             folder,
             images,
             truth.mask,
             truth.normals,
-            {**facts, "light": lighting, **told, **photographs.told()},
+            {**facts, "light": lighting, **rendered, **photographs.all_facts()},
             maps=truth.maps,
             depth=truth.depth,
             name=name,
@@ -268,12 +257,8 @@ def render_set(
 ) -> list[str]:
     """Renders what is missing of a set; several processes may share the work.
 
-    Args:
-        blender: renders.
-        jobs: the objects.
-        settings: how.
-        out: the set's root; receives `LIGHTING/NAME.data`, and `failures/NAME.txt`
-            for objects that could not be rendered.
+    `out` receives `LIGHTING/NAME.data`, and `failures/NAME.txt` of objects that could
+    not be rendered.
 
     Returns:
         Names of such objects; the others are complete, also those of other processes.

@@ -121,21 +121,34 @@ def look_up(table: Array, direction: Array) -> Array:
     """
     height, width, _ = table.shape
     x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
+    rows, columns, down, right = pixels_around(x, y, z, height, width)
+    above, below = (
+        table[row, columns[0]] * (1 - right[..., None])
+        + table[row, columns[1]] * right[..., None]
+        for row in rows
+    )
+    return above * (1 - down[..., None]) + below * down[..., None]
+
+
+def pixels_around(
+    x: Array, y: Array, z: Array, height: int, width: int
+) -> tuple[tuple[Array, Array], tuple[Array, Array], Array, Array]:
+    """The four pixels of a picture between which unit directions lie.
+
+    Returns:
+        Two rows, two columns, and the shares of the second ones.
+    """
     # At the poles and behind the camera derivatives of the angles are not finite.
     row = jnp.arccos(jnp.clip(y, -0.999999, 0.999999)) * (height / math.pi) - 0.5
     pole = x * x + z * z < 1e-12
-    angle = jnp.arctan2(jnp.where(pole, 0.0, x), jnp.where(pole, 1.0, -z))
-    column = (angle / (2 * math.pi) + 0.5) * width - 0.5
+    angle = jnp.arctan2(jnp.where(pole, 0.0, -x), jnp.where(pole, 1.0, z))
+    column = angle * (width / (2 * math.pi)) - 0.5
     row = jnp.clip(row, 0.0, height - 1.0)
     top, left = jnp.floor(row), jnp.floor(column)
-    down, right = (row - top)[..., None], (column - left)[..., None]
-    rows = top.astype(jnp.int32), jnp.minimum(top.astype(jnp.int32) + 1, height - 1)
-    first = left.astype(jnp.int32)
-    columns = first % width, (first + 1) % width
-    above, below = (
-        table[r, columns[0]] * (1 - right) + table[r, columns[1]] * right for r in rows
-    )
-    return above * (1 - down) + below * down
+    first_row, first_column = top.astype(jnp.int32), left.astype(jnp.int32)
+    rows = first_row, jnp.minimum(first_row + 1, height - 1)
+    columns = first_column % width, (first_column + 1) % width
+    return rows, columns, row - top, column - left
 
 
 def glossy_light(environment: Blurred, mirror: Array, roughness: Array) -> Array:

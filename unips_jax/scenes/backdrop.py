@@ -51,10 +51,7 @@ class Ground(NamedTuple):
 def draw_backdrop(draws: Draws, rate: float, possible: Array) -> Backdrop:
     """Draws a wall that faces the viewer, and mostly a table before it.
 
-    Args:
-        draws: at least 24 numbers.
-        rate: share of scenes that have them.
-        possible: False where the scene cannot.
+    `draws` has at least 24 numbers; there is none where `possible` is False.
     """
     present = draws.chance(rate) & possible
     table = draws.chance(0.65)
@@ -83,13 +80,7 @@ def draw_backdrop(draws: Draws, rate: float, possible: Array) -> Backdrop:
 
 
 def widen_window(draws: Draws, backdrop: Backdrop, window: Array) -> Array:
-    """Shows more than the object, off centre.
-
-    Args:
-        draws: at least 3 numbers.
-        backdrop: of the scene.
-        window: see `tracing.Camera`.
-    """
+    """Shows more than the object, off centre; `draws` has at least 3 numbers."""
     zoom = draws.uniform(1.1, 2.2)
     shift = draws.uniform(-0.5, 0.5, 2) * (zoom - 1) * window[2]
     wide = jnp.concatenate([window[:2] + shift, window[2:] * zoom])
@@ -104,26 +95,26 @@ def meet(
     Args:
         backdrop: table and wall.
         rays: origins and directions, `[P]`.
-        mask: `[P]`, where the object is seen.
-        point: on the object there.
+        mask: `[P]`, where the object is seen, and
+        point: where on it.
     """
     origin, direction = rays
     way = tuple(p - o for p, o in zip(point, origin, strict=True))
-    nearest = jnp.where(mask, dot(way, direction), jnp.inf)  # type: ignore[arg-type]
+    nearest = jnp.where(mask, dot(way, direction), jnp.inf)
     seen = jnp.zeros_like(mask)
-    normal: Point = tuple(jnp.zeros_like(c) for c in point)  # type: ignore[assignment]
+    normal: Point = tuple(jnp.zeros_like(c) for c in point)
     place = point
     for plane in range(2):
         n = tuple(backdrop.normals[plane])
-        facing = dot(n, direction)  # type: ignore[arg-type]
-        t = -(dot(n, origin) + backdrop.offsets[plane]) / jnp.minimum(facing, -1e-3)  # type: ignore[arg-type]
+        facing = dot(n, direction)
+        t = -(dot(n, origin) + backdrop.offsets[plane]) / jnp.minimum(facing, -1e-3)
         met = backdrop.present & (facing < -0.02) & (t > 0) & (t < nearest)
-        here: Point = tuple(o + t * d for o, d in zip(origin, direction, strict=True))  # type: ignore[assignment]
+        here: Point = tuple(o + t * d for o, d in zip(origin, direction, strict=True))
         swayed = _facing(_sway(backdrop, plane, here), direction)
-        place = tuple(jnp.where(met, a, b) for a, b in zip(here, place, strict=True))  # type: ignore[assignment]
+        place = tuple(jnp.where(met, a, b) for a, b in zip(here, place, strict=True))
         normal = tuple(
             jnp.where(met, a, b) for a, b in zip(swayed, normal, strict=True)
-        )  # type: ignore[assignment]
+        )
         nearest = jnp.where(met, t, nearest)
         seen = seen | met
     return Ground(seen, place, normal)
@@ -131,18 +122,18 @@ def meet(
 
 def _sway(backdrop: Backdrop, plane: int, point: Point) -> Point:
     wave, n = backdrop.waves[plane], backdrop.normals[plane]
-    phase = 2 * math.pi * dot(tuple(wave), point)  # type: ignore[arg-type]
+    phase = 2 * math.pi * dot(tuple(wave), point)
     along = wave - jnp.dot(wave, n) * n
     along = along / jnp.maximum(jnp.linalg.norm(along), 1e-3)
     height = backdrop.slopes[plane] * jnp.cos(phase)
-    return normalize(tuple(n[i] + height * along[i] for i in range(3)))  # type: ignore[arg-type]
+    return normalize(tuple(n[i] + height * along[i] for i in range(3)))
 
 
 def _facing(normal: Point, direction: Point) -> Point:
     """Normals turned until the viewer sees their front."""
     lack = jnp.maximum(0.05 + dot(normal, direction), 0.0)
     return normalize(
-        tuple(n - lack * d for n, d in zip(normal, direction, strict=True))  # type: ignore[arg-type]
+        tuple(n - lack * d for n, d in zip(normal, direction, strict=True))
     )
 
 
@@ -163,8 +154,8 @@ def ray_clearance(
     clear = jnp.ones_like(origin[0])
     for plane in range(2):
         n = tuple(backdrop.normals[plane])
-        height = dot(n, origin) + backdrop.offsets[plane]  # type: ignore[arg-type]
-        falling = jnp.maximum(-dot(n, direction), 0.0)  # type: ignore[arg-type]
+        height = dot(n, origin) + backdrop.offsets[plane]
+        falling = jnp.maximum(-dot(n, direction), 0.0)
         clear = jnp.where(height < falling * reach, -0.5, clear)
     return clear
 

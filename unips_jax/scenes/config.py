@@ -7,8 +7,16 @@ from unips_jax.checks import check_types, require
 LIGHT_KINDS = ("directional", "environment", "mixed", "point", "area")
 SHAPE_KINDS = ("blob", "composition", "machine", "lathe", "thin", "relief", "plate")
 MATERIALS = (
-    *("fabric", "concrete", "wood", "floor", "ground", "metal"),
-    *("uniform", "dark", "glossy", "painted_metal"),
+    "fabric",
+    "concrete",
+    "wood",
+    "floor",
+    "ground",
+    "metal",
+    "uniform",
+    "dark",
+    "glossy",
+    "painted_metal",
 )
 
 
@@ -56,10 +64,11 @@ class SceneConfig:
 
     light_weights: tuple[float, ...] = (0.3, 0.25, 0.25, 0.1, 0.1)
     shape_weights: tuple[float, ...] = (0.16, 0.22, 0.16, 0.14, 0.08, 0.14, 0.1)
+    # fmt: off
     material_weights: tuple[float, ...] = (
-        *(0.12, 0.1, 0.1, 0.09, 0.09, 0.13),
-        *(0.14, 0.06, 0.1, 0.07),
+        0.12, 0.1, 0.1, 0.09, 0.09, 0.13, 0.14, 0.06, 0.1, 0.07
     )
+    # fmt: on
     perspective_rate: float = 0.5
     focal_range_mm: tuple[float, float] = (12.0, 150.0)
     rotation_candidates: int = 3
@@ -99,14 +108,11 @@ class SceneConfig:
                 f"{name}: expected {len(kinds)} weights >= 0, not all zero, one for "
                 f"each of {kinds}, got {weights}",
             )
-        for name in (
-            *("perspective_rate", "linear_rate", "noise_rate", "blur_rate"),
-            *("mask_error_rate", "eight_bit_rate", "spare_rate"),
-            *("rim_rate", "side_rate", "photograph_rate", "whole_frame_rate"),
-            *("bounce_rate", "paint_rate", "carving_rate"),
-        ):
-            rate = getattr(self, name)
-            require(0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}")
+        for name, rate in vars(self).items():
+            if name.endswith("_rate"):
+                require(
+                    0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}"
+                )
         low, high = self.focal_range_mm
         require(
             0 < low <= high,

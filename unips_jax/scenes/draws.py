@@ -17,12 +17,7 @@ class Draws:
     """Hands out independent random numbers; the order of calls is the layout."""
 
     def __init__(self, key: Array, count: int) -> None:
-        """Draws the block.
-
-        Args:
-            key: a random key.
-            count: how many numbers will be asked for at most.
-        """
+        """Draws the block of at most `count` numbers."""
         self._block = jax.random.uniform(key, (count,))
         self._used = 0
 
@@ -83,15 +78,7 @@ class Draws:
 
 
 def rotation_about(axis: int, angle: Array) -> Array:
-    """Rotation matrices about a coordinate axis.
-
-    Args:
-        axis: 0, 1 or 2.
-        angle: `[...]`, radians.
-
-    Returns:
-        `[..., 3, 3]`.
-    """
+    """Rotation matrices `[..., 3, 3]` about axis 0, 1 or 2; angles in radians."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     zero, one = jnp.zeros_like(cos), jnp.ones_like(cos)
     first, second = (axis + 1) % 3, (axis + 2) % 3

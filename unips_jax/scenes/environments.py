@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from unips_jax.lighting.environment import pixels_around, sphere
 from unips_jax.scenes.noise import Point
 
 BLURS = (0.06, 0.12, 0.25, 0.5, 1.0)
@@ -56,7 +57,7 @@ class Photograph(NamedTuple):
 
 @functools.cache
 def load_tables() -> Tables:
-    """Reads the file that ships."""
+    """The file that ships."""
     path = resources.files("unips_jax") / "assets" / "environments.npz"
     with path.open("rb") as file, np.load(file) as arrays:
         return Tables(
@@ -67,17 +68,12 @@ def load_tables() -> Tables:
 
 
 def directions_of(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Directions of an equirectangular picture's pixels.
+    """Directions `[height, width, 3]` of a table's pixels, and their solid angles.
 
-    Returns:
-        Unit vectors, y up, `[height, width, 3]`, and solid angles, `[height, width]`.
+    A quarter turn from `lighting.environment.sphere`: seeds had it before.
     """
-    down = (np.arange(height)[:, None] + 0.5) / height * np.pi
-    around = (np.arange(width)[None] + 0.5) / width * 2 * np.pi
-    x, z = np.sin(down) * np.cos(around), np.sin(down) * np.sin(around)
-    y = np.broadcast_to(np.cos(down), x.shape)
-    solid = np.sin(down) * (np.pi / height) * (2 * np.pi / width)
-    return np.stack([x, y, z], -1), np.broadcast_to(solid, x.shape)
+    towards, solid = map(np.asarray, sphere(height, width))
+    return towards[..., [2, 1, 0]] * np.array([1, 1, -1], np.float32), solid
 
 
 def look_up(photograph: Photograph, direction: Point, blur: Array) -> list[Array]:
@@ -96,16 +92,13 @@ def look_up(photograph: Photograph, direction: Point, blur: Array) -> list[Array
     x, y, z = direction
     level = jnp.round(jnp.log2(jnp.maximum(blur, 1e-3) / BLURS[0]))
     level = jnp.clip(level, 0, levels - 1).astype(jnp.int32)
-    row = jnp.arccos(jnp.clip(y, -1.0, 1.0)) * (height / jnp.pi) - 0.5
-    column = jnp.arctan2(z, x * photograph.mirror) * (width / (2 * jnp.pi)) - 0.5
-    row = jnp.clip(row, 0.0, height - 1.0)
-    top, left = jnp.floor(row), jnp.floor(column)
-    down, right = row - top, column - left
     first = (photograph.number * levels + level) * (height * width)
-    total: Array | float = 0.0
-    for i, by_row in enumerate((1 - down, down)):
-        place = jnp.minimum(top.astype(jnp.int32) + i, height - 1) * width + first
-        for j, weight in enumerate((by_row * (1 - right), by_row * right)):
-            at = place + (left.astype(jnp.int32) + j) % width
-            total = total + weight[..., None] * flat[at]
-    return [total[..., c] * photograph.tint[c] for c in range(3)]  # type: ignore[index]
+    rows, columns, down, right = pixels_around(
+        -z, y, x * photograph.mirror, height, width
+    )
+    total = jnp.zeros((1, 3))
+    for row, by_row in zip(rows, (1 - down, down), strict=True):
+        for column, share in zip(columns, (1 - right, right), strict=True):
+            weight = by_row * share
+            total = total + weight[..., None] * flat[row * width + first + column]
+    return [total[..., c] * photograph.tint[c] for c in range(3)]

@@ -2,7 +2,7 @@
 
 The folders follow PS-Wild-Test: one per object and lighting, with 16-bit linear
 images `L_*.png`, `mask.png`, and `normal.tif` (n = 2 v / 65535 - 1, x right, y up,
-z to the viewer, background 32768); `meta.json` says what was drawn.
+z to the viewer, background 32768); `meta.json` holds what was drawn.
 Under directional light it holds `light_directions` and `light_intensities`, such that a
 Lambertian surface appears as albedo x intensity x max(n . l, 0).
 """
@@ -32,19 +32,13 @@ LIGHTINGS = ("directional", "environment", "mixed")
 
 
 _CODE = ("scenes.folders",)  # what the folders' contents follow from
-
-
 _FOLDER_CONFIG = SceneConfig(
     linear_rate=1.0, eight_bit_rate=0.0, blur_rate=0.0, mask_error_rate=0.0
 )
 
 
 def describe(scene: Scene) -> dict[str, Any]:
-    """What was drawn, in plain values.
-
-    Args:
-        scene: one scene, without a batch axis.
-    """
+    """What was drawn of one scene, in plain values."""
     focal_mm = float(scene.focal)
     facts: dict[str, Any] = {
         "light": LIGHT_KINDS[int(scene.light_kind)],
@@ -131,15 +125,7 @@ def _is_there(folder: Path, options: dict[str, int]) -> bool:
 
 
 def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:
-    """Tiles of a normal map and three images each.
-
-    Args:
-        scenes: with a batch axis and at least three images.
-        columns: tiles per row.
-
-    Returns:
-        RGB uint8.
-    """
+    """Tiles of a normal map and three images each, RGB uint8, of a batch of scenes."""
     normals = np.where(
         np.asarray(scenes.mask)[..., None], 0.5 * np.asarray(scenes.normals) + 0.5, 0.25
     )
@@ -162,7 +148,7 @@ def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
         path: of the picture.
         size: side of each image in pixels.
         seed: of the scenes.
-        scenes: how many; a multiple of 8.
+        scenes: how many; eights of them.
     """
     batches = []
     for first in track(range(0, scenes, 8), "rendering"):

@@ -98,7 +98,11 @@ def _sky_visibility(
     origin = jnp.broadcast_to(lifted, full).reshape(3, -1)
     towards = jnp.broadcast_to(directions.T[:, :, None], full).reshape(3, -1)
     clear = clearance(
-        *(shape, to_object, tuple(origin), tuple(towards), 1e3),  # type: ignore[arg-type]
+        shape,
+        to_object,
+        tuple(origin),
+        tuple(towards),
+        1e3,
         steps=6,
         first=0.08,
         growth=0.4,
@@ -141,9 +145,9 @@ def _visible_surface(
         (smooth[0] - slope[0], smooth[1] - slope[1], smooth[2] - slope[2])
     )
     view = tuple(-c for c in rays[1])
-    away = jnp.minimum(dot(normal, view), 0.0)  # type: ignore[arg-type]
-    normal = normalize(along(normal, view, -away))  # type: ignore[arg-type]
-    return mask, point, normal, view, height  # type: ignore[return-value]
+    away = jnp.minimum(dot(normal, view), 0.0)
+    normal = normalize(along(normal, view, -away))
+    return mask, point, normal, view, height
 
 
 def _finest(shape: Shape, camera: Camera, size: int) -> Array:
@@ -168,7 +172,7 @@ def render_geometry(
     """Draws an object and a camera and finds what is visible: the expensive stage.
 
     Args:
-        key: a random key.
+        key: for all of it.
         size: side of the images in pixels, a multiple of 4.
         config: the distribution of scenes.
         shape: index into `SHAPE_KINDS` instead of a random one.
@@ -200,7 +204,10 @@ def render_geometry(
         finest = _finest(solid, view, size)
         solid, hollow = _carve(key_carving, config.carving_rate, solid, finest)
     return finish_geometry(
-        *(key_basis, solid, pose, view),
+        key_basis,
+        solid,
+        pose,
+        view,
         size=size,
         config=config,
         entropy=entropy,

@@ -16,13 +16,7 @@ def pixel_grid(size: int) -> tuple[Array, Array]:
 
 
 def pick(values: Array, mask: Array, stride: int) -> Array:
-    """One masked pixel of each block, the most central; `[..., h, w]`.
-
-    Args:
-        values: `[..., H, W]`.
-        mask: `[H, W]`.
-        stride: side of the blocks.
-    """
+    """One masked pixel `[..., h, w]` of each block, `stride` wide: the most central."""
     h, w = mask.shape[0] // stride, mask.shape[1] // stride
     offset = jnp.abs(jnp.arange(stride) - 0.5 * (stride - 1.1))
     rank = 1 + stride - 0.5 * (offset[:, None] + offset) - 1e-3 * offset[:, None]
@@ -43,13 +37,7 @@ def stretch(coarse: int, stride: int) -> Array:
 
 
 def spread(values: Array, mask: Array, stride: int) -> Array:
-    """Enlarges what was computed at `pick`ed pixels, ignoring empty blocks.
-
-    Args:
-        values: `[..., h, w]`.
-        mask: `[H, W]`, full size.
-        stride: side of the blocks.
-    """
+    """Enlarges what was computed at `pick`ed pixels, ignoring blocks without any."""
     h, w = values.shape[-2:]
     full = jnp.any(mask.reshape(h, stride, w, stride), axis=(1, 3))
     weight = full.astype(jnp.float32) + 1e-6

@@ -13,7 +13,8 @@ from jax import Array
 
 from unips_jax.lighting.harmonics import BAND, harmonics
 from unips_jax.scenes.backdrop import Backdrop, open_sky
-from unips_jax.scenes.lights import Environment, KeyLights, surroundings
+from unips_jax.scenes.lamps import KeyLights
+from unips_jax.scenes.surroundings import Environment, surroundings
 
 _COUNT, _BLUR = 512, 0.1  # directions over the sphere; radians, below their distance
 

@@ -81,22 +81,15 @@ def _pattern(
 
 
 def paint(key: Array, rate: float, surface: Surface, point: Point) -> Surface:
-    """Paints spots, lines or bands of another colour and gloss, or does not.
-
-    Args:
-        key: a random key.
-        rate: the chance of it.
-        surface: what is painted.
-        point: as in `draw_surface`.
-    """
+    """Paints spots, lines or bands of another colour and gloss, at a rate."""
     key_draws, key_seed = jax.random.split(key)
     draws = Draws(key_draws, 32)
     seed = jax.random.bits(key_seed, (), jnp.uint32) >> 1
     scale = draws.log_uniform(1.5, 10.0)
-    value = gradient_noise(seed, tuple(c * scale for c in point))  # type: ignore[arg-type]
+    value = gradient_noise(seed, tuple(c * scale for c in point))
     spots = value - draws.uniform(0.1, 0.4)
     lines = draws.uniform(0.02, 0.08) - jnp.abs(value)
-    along = dot(tuple(draws.direction()), point) * scale  # type: ignore[arg-type]
+    along = dot(tuple(draws.direction()), point) * scale
     bands = draws.uniform(-0.2, 0.2) + 0.5 * sine(along + value)
     kind = draws.choice([0.4, 0.3, 0.3])
     inside = jnp.where(kind == 0, spots, jnp.where(kind == 1, lines, bands))
@@ -115,8 +108,8 @@ def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surfac
     """Draws a material and evaluates it.
 
     Args:
-        key: a random key.
-        kind: index into `MATERIALS`, int32 scalar.
+        key: for all of it.
+        kind: index into `MATERIALS`.
         point: in the object's frame, scaled to unit radius, each `[P]`.
         height: `[P]`, the fine relief, about [-1, 1]; hollows may be darker.
     """
@@ -156,7 +149,7 @@ def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surfac
     rough = rough + chipped * (draws.uniform(0.3, 0.9) - rough)
     # Wear and polish: roughness that varies on its own, whatever the colour.
     scale = draws.log_uniform(1.5, 9.0)
-    worn = gradient_noise(seed + 9, tuple(c * scale for c in point))  # type: ignore[arg-type]
+    worn = gradient_noise(seed + 9, tuple(c * scale for c in point))
     rough = rough + draws.chance(0.65) * draws.uniform(0.0, 0.4) * worn
     matt = draws.chance(0.4) & (usual > 0.5)
     specular = jnp.where(matt, 0.0, draws.uniform(0.3, 1.0))

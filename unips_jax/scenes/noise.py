@@ -7,7 +7,7 @@ a few loops.
 import jax.numpy as jnp
 from jax import Array, lax
 
-Point = tuple[Array, Array, Array]
+Point = tuple[Array, ...]  # x, y and z
 
 
 def rotate(matrix: Array, point: Point) -> Point:
@@ -49,14 +49,9 @@ def _gradient(h: Array, x: Array, y: Array, z: Array) -> Array:
 
 
 def gradient_noise(seed: Array, point: Point) -> Array:
-    """Perlin's gradient noise with hashed gradients, cell size 1.
+    """Perlin's gradient noise with hashed gradients, cell size 1, seed uint32.
 
-    Args:
-        seed: uint32 scalar.
-        point: where.
-
-    Returns:
-        Values of mean 0 and standard deviation about 0.3, mostly in [-1, 1].
+    Mean 0, standard deviation about 0.3, mostly in [-1, 1].
     """
     floor = [jnp.floor(c) for c in point]
     x, y, z = (c - f for c, f in zip(point, floor, strict=True))
@@ -80,14 +75,9 @@ def gradient_noise(seed: Array, point: Point) -> Array:
 
 
 def pixel_noise(seed: Array, shape: tuple[int, ...]) -> Array:
-    """White noise, nearly Gaussian: the sum of four hashed bytes.
+    """White noise, nearly Gaussian: the sum of four hashed bytes of a uint32 seed.
 
-    Args:
-        seed: uint32 scalar.
-        shape: of the result.
-
-    Returns:
-        Mean 0, standard deviation 1, at most 3.5.
+    Mean 0, standard deviation 1, at most 3.5.
     """
     size = 1
     index = jnp.zeros(shape, jnp.uint32)

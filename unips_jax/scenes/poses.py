@@ -36,12 +36,8 @@ def normal_entropy_bits(normals: Array, mask: Array) -> Array:
     Source: UniPS (Ikehata, CVPR 2022), Sec. 3, which keeps objects above 4 without
     saying how the histogram is made.
 
-    Args:
-        normals: `[..., 3]`, unit.
-        mask: `[...]`.
-
     Returns:
-        Bits, a scalar; 0 for an empty mask.
+        Bits; 0 for an empty mask.
     """
     bins = jnp.arange(_HISTOGRAM_BINS)
     index = jnp.floor((normals[..., :2].reshape(-1, 2) + 1) * (_HISTOGRAM_BINS / 2))
@@ -79,13 +75,7 @@ def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array, Arra
 
 
 def draw_camera(draws: Draws, config: SceneConfig, perspective: Array) -> Camera:
-    """Draws a camera whose frame is not yet cropped.
-
-    Args:
-        draws: random numbers.
-        config: the distribution of scenes.
-        perspective: bool scalar; False: orthographic.
-    """
+    """Draws a camera whose frame is not yet cropped."""
     focal = draws.log_uniform(*config.focal_range_mm)
     return Camera(
         perspective=perspective.astype(jnp.float32),
@@ -101,11 +91,7 @@ def pose_and_frame(
 
     Of one object in a thousand the cuts leave nothing: these lose their cuts.
 
-    Args:
-        draws: at least 6 numbers for every candidate, and 3 more.
-        config: the distribution of scenes.
-        shape: the object.
-        camera: as drawn.
+    `draws` has at least 6 numbers for every candidate, and 3 more.
 
     Returns:
         The object; its pose `[3, 3]`, rotation from the object's frame to the world;

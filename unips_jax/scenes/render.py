@@ -12,7 +12,7 @@ from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.geometry import Geometry, render_geometry
 from unips_jax.scenes.incident import IncidentLight, incident_light
-from unips_jax.scenes.lights import draw_lights, draw_sides
+from unips_jax.scenes.lamps import draw_lights, draw_sides
 from unips_jax.scenes.materials import draw_surface, paint
 from unips_jax.scenes.noise import normalize
 from unips_jax.scenes.rims import extend
@@ -36,7 +36,7 @@ class Scene(NamedTuple):
         material: index into `MATERIALS`.
         focal: 35 mm equivalent in mm; 0 for orthographic cameras.
         light_directions: `[N, 3]`, unit, of directional scenes, else zero.
-        light_intensities: `[N, 3]` likewise, exposure and white balance included.
+        light_intensities: `[N, 3]`, of the same; exposure and white balance included.
         light_means: `[N, 3]`, the mean direction of each image's light at the object's
             centre, weighted by power: 1 long for a single light, 0 for light that
             comes equally from everywhere.
@@ -75,14 +75,7 @@ def shade(
 ) -> Scene:
     """Draws materials, lights and a camera response for a geometry.
 
-    Args:
-        key: a random key.
-        geometry: what `render_geometry` gave; it may be used again and again.
-        num_images: N.
-        config: the distribution of scenes.
-        light_kind: index into `LIGHT_KINDS` instead of a random one.
-        material: index into `MATERIALS` instead of a random one.
-        incident: whether `Scene.incident` is worked out.
+    A geometry may be used again and again; the arguments are those of `render_scene`.
     """
     config = config or SceneConfig()
     key_kind, key_surface, key_lights, key_sensor = jax.random.split(key, 4)
@@ -200,13 +193,8 @@ def render_scene(
     jax.jit, static_argnames=("size", "num_images", "config", "incident")
 )
 def render_batch(keys: Array, **options: Any) -> Scene:
-    """Scenes of a batch of keys, compiled.
+    """Scenes of keys `[B]`, compiled: a `Scene` whose arrays have a leading axis B.
 
-    Args:
-        keys: `[B]` random keys.
-        **options: as in `render_scene`, the same for all.
-
-    Returns:
-        A `Scene` whose arrays have a leading axis B.
+    Options are those of `render_scene`, the same for all.
     """
     return jax.vmap(lambda key: render_scene(key, **options))(keys)

@@ -45,13 +45,7 @@ def band(size: int, amount: Array | float) -> Array:
 def extend(values: Array, mask: Array, steps: int = REACH) -> Array:
     """Continues `[..., H, W]` beyond the mask by the means of known neighbours.
 
-    Args:
-        values: unknown outside the mask.
-        mask: `[H, W]` bool.
-        steps: how many pixels far.
-
-    Returns:
-        As `values`; zero where nothing is near.
+    `steps` pixels far; beyond it is zero.
     """
     rows, columns = (band(size, 1.0) for size in mask.shape)
     known = mask.astype(jnp.float32)

@@ -141,7 +141,7 @@ def _compose(d: Array, slot: Array, point: Point) -> Array:
     )
     # Stretching divides the gradient by this; 1 where nothing is stretched.
     inverse = tuple(q[i] * slot[15 + i] for i in range(3))
-    scale = lax.rsqrt((dot(inverse, inverse) + 1e-9) / (dot(q, q) + 1e-9))  # type: ignore[arg-type]
+    scale = lax.rsqrt((dot(inverse, inverse) + 1e-9) / (dot(q, q) + 1e-9))
     dx, dy, dz = (jnp.abs(q[i]) - slot[12 + i] for i in range(3))
     rx, ry = _larger(dx + corner, 0.0), _larger(dy + corner, 0.0)
     inner = _smaller(_larger(dx, dy), -corner)
@@ -218,14 +218,10 @@ def without_cuts(shape: Shape) -> Shape:
 
 
 def distance(shape: Shape, point: Point) -> Array:
-    """Signed distance to the shape without its detail, negative inside.
+    """Signed distance to the shape without its detail, in its frame, negative inside.
 
     The slots are composed in a loop: written out, the compiler's fusion repeats
     their common parts.
-
-    Args:
-        shape: parameters.
-        point: in the object's frame.
 
     Returns:
         A lower bound of the distance (approximately), scaled to be safe to march.
@@ -244,12 +240,7 @@ def _cell(cycles: Array) -> Array:
 
 
 def detail(shape: Shape, point: Point) -> Array:
-    """Height of the fine relief above the shape, `[...]`, in units of length.
-
-    Args:
-        shape: parameters.
-        point: in the object's frame.
-    """
+    """Height of the fine relief above the shape, `[...]`, in units of length."""
     d = shape.detail
     fx, fy, fz = (c * d.frequency for c in rotate(d.rotation, point))
     coarse = gradient_noise(d.seed, (fx, fy, fz))

@@ -47,7 +47,7 @@ def blur(images: Array, mask: Array, amount: Array) -> Array:
     Args:
         images: `[..., H, W]`, zero outside the mask.
         mask: `[H, W]`.
-        amount: scalar, 0 for none.
+        amount: 0 for none.
     """
     weight = mask.astype(jnp.float32)
     rows, columns = (band(size, amount) for size in mask.shape)
@@ -91,13 +91,7 @@ def _rims(key: Array, images: Array, mask: Array) -> Rims:
 def record(
     key: Array, radiance: Array, mask: Array, config: SceneConfig
 ) -> tuple[Array, Array, Array]:
-    """What the camera records.
-
-    Args:
-        key: a random key.
-        radiance: `[N, 3, H, W]`, linear.
-        mask: `[H, W]` bool.
-        config: shares of noise, blur, curves, mixed borders and mask errors.
+    """What the camera records of linear radiance `[N, 3, H, W]`.
 
     Returns:
         Images `[N, 3, H, W]`, at most 1, zero outside the mask; the mask, which with

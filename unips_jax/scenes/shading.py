@@ -24,14 +24,13 @@ from unips_jax.scenes.backdrop import ray_clearance
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.geometry import Geometry
 from unips_jax.scenes.grids import pick, spread
-from unips_jax.scenes.lights import (
+from unips_jax.scenes.lamps import KeyLights, key_light_at
+from unips_jax.scenes.noise import Point, dot, normalize
+from unips_jax.scenes.surroundings import (
     Environment,
-    KeyLights,
     environment_radiance,
-    key_light_at,
     surroundings,
 )
-from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.tracing import clearance, soft_visibility
 
 KEY_STRIDE = 2
@@ -56,16 +55,20 @@ def key_clearance(geometry: Geometry, vector: Array, near: Array) -> Array:
     frame = picked.shape[1:]
     picked = picked.reshape(6, -1)
     points = tuple(picked[:3])
-    light, reach, _ = key_light_at(vector, near, points)  # type: ignore[arg-type]
+    light, reach, _ = key_light_at(vector, near, points)
     origin = tuple(picked[:3] + (0.01 + 0.75 * pixel) * picked[3:])
     clear = clearance(
-        *(geometry.shape, geometry.to_object, origin, light, reach),  # type: ignore[arg-type]
+        geometry.shape,
+        geometry.to_object,
+        origin,
+        light,
+        reach,
         steps=12,
         first=0.03,
         growth=0.22,
     )
     if geometry.backdrop is not None:
-        blocked = ray_clearance(geometry.backdrop, origin, light, reach)  # type: ignore[arg-type]
+        blocked = ray_clearance(geometry.backdrop, origin, light, reach)
         clear = jnp.minimum(clear, blocked)
     clear = jnp.clip(clear, -0.5, 0.5).reshape(frame)
     return spread(clear, mask, KEY_STRIDE).reshape(-1)
@@ -105,12 +108,7 @@ def shade_environment(
     surface: Surface,
     environment: Environment,
 ) -> tuple[Array, Array]:
-    """Radiance under the environment in all its rotations.
-
-    Args:
-        geometry: the object.
-        surface: its reflectance.
-        environment: N rotations of it.
+    """Radiance under the environment in all its N rotations.
 
     Returns:
         The radiance, `[N, 3, P]` for P = H W, and what the surface reflects of the
@@ -138,7 +136,7 @@ def shade_environment(
     blur = jnp.minimum(1.9 * surface.roughness**2, 1.0)
 
     def reflected(rotation: Array) -> Array:
-        return jnp.stack(environment_radiance(environment, rotation, mirror, blur))  # type: ignore[arg-type]
+        return jnp.stack(environment_radiance(environment, rotation, mirror, blur))
 
     glossy = jax.lax.map(reflected, environment.rotation)
     total = diffuse * irradiance + specular * free * glossy
@@ -182,8 +180,8 @@ def radiance(
     Args:
         geometry: the object.
         surface: its reflectance.
-        keys: N key lights.
-        environment: N rotations of it.
+        keys: a lamp of each image.
+        environment: the surroundings of each.
         config: whether light bounces.
         near: how far it comes, in image sides, of scenes where light bounces from what
             is near; 0 where the object's mean takes its place; None: so for all.

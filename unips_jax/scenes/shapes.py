@@ -153,16 +153,8 @@ def _attached_centers(
     Cuts sit near the surface, further out the larger they are: they hollow, but mostly
     leave the rest in one piece.
 
-    Args:
-        draws: random numbers.
-        primitives: of K slots, in any place.
-        size: `[K]`, of the slots.
-        used: `[K]`, bool.
-        lathe: turned objects, of which only the half plane x > 0, z = 0 counts, stack
-            their slots along y there.
-
-    Returns:
-        `[K, 3]`.
+    Turned objects (`lathe`), of which only the half plane x > 0, z = 0 counts, stack
+    their slots along y there. All arguments are of K slots; `[K, 3]`.
     """
     upwards = jnp.where(draws.chance(0.5, NUM_SLOTS), 1.0, -1.0)
     lean = draws.uniform(0.0, 0.5, NUM_SLOTS)
@@ -277,14 +269,9 @@ def draw_detail(
     frequencies: tuple[float, float] = (4.0, 14.0),
     slopes: tuple[float, float] = (0.04, 0.5),
 ) -> Detail:
-    """Draws a fine relief.
+    """Draws a fine relief; `draws` has at least 14 numbers, `key` is for the noise.
 
-    Args:
-        draws: at least 14 numbers.
-        key: for the noise.
-        kind: index into `SHAPE_KINDS`.
-        frequencies: least and greatest, in cells per unit of length.
-        slopes: least and greatest.
+    Frequencies, in cells per unit of length, and slopes lie between the given ones.
     """
     frequency = draws.log_uniform(*frequencies)
     slope = draws.log_uniform(*slopes)
@@ -331,12 +318,7 @@ def _slab(draws: Draws, rate: Array, middle: Array, radius: Array) -> Array:
 
 
 def draw_shape(key: Array, kind: Array) -> Shape:
-    """Draws an object.
-
-    Args:
-        key: a random key.
-        kind: index into `SHAPE_KINDS`, int32 scalar.
-    """
+    """Draws an object of a kind, an index into `SHAPE_KINDS`."""
     key_slots, key_waves, key_detail, key_seed, key_profile = jax.random.split(key, 5)
     draws = Draws(key_slots, 256)
     traits = jnp.asarray(_TRAITS)[kind]

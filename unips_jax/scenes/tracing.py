@@ -119,12 +119,6 @@ def first_crossings(
     more steps than others: without the second march every contour would be a gap. It is
     of a third of the rays, those nearest to a surface if more are still going.
 
-    Args:
-        shape: the object.
-        to_object: its pose.
-        camera: the camera.
-        size: side of the image in pixels.
-
     Returns:
         What `trace` does, `[size * size]`.
     """
@@ -182,7 +176,7 @@ def clearance(
     Args:
         shape: the object.
         to_object: its pose.
-        origin: on the surface, already lifted off it.
+        origin: just above the surface.
         direction: unit, towards the light.
         reach: how far the light is.
         steps: of the march.

@@ -132,7 +132,7 @@ def displaced(rng: Generator) -> Any:
     }
     smooth = ("SMOOTH", {"factor": 0.5, "iterations": 4})
     mesh = applied(
-        *(new_object(new_mesh(fill)), ("DISPLACE", coarse), ("DISPLACE", fine), smooth)
+        new_object(new_mesh(fill)), ("DISPLACE", coarse), ("DISPLACE", fine), smooth
     )
     mesh.shade_smooth()
     return mesh

@@ -1,7 +1,7 @@
 """Renders on request: one JSON object per line on standard input, one per answer.
 
 Requests: `{"do": NAME, ...}` with the keyword arguments of `Studio.NAME`. Answers:
-`{"ok": RESULT}` or `{"error": TEXT}`. Pictures are EXR files where the request says.
+`{"ok": RESULT}` or `{"error": TEXT}`. Pictures are EXR files at the request's `path`.
 
 World axes are the camera's: x right, y up, z towards the viewer; the object is around
 the origin and its outline reaches the frame's edge at +-1. `Studio` keeps the object
@@ -27,11 +27,7 @@ class Studio:
     """One object, one camera, and lights that change from picture to picture."""
 
     def __init__(self, threads: int = 0) -> None:
-        """Waits for `build`.
-
-        Args:
-            threads: of the renderer; 0 takes all cores.
-        """
+        """Waits for `build`; 0 threads are all cores."""
         self.threads = threads
 
     def version(self) -> dict[str, str]:
@@ -91,7 +87,7 @@ class Studio:
             focal_mm: of a frame of 36 mm; None for an orthographic camera.
 
         Returns:
-            Whether it does; see `framing.fit`.
+            Whether that was possible; see `framing.fit`.
         """
         turned = self.points @ np.array(Quaternion(rotation).to_matrix()).T
         camera = bpy.context.scene.camera
@@ -109,12 +105,7 @@ class Studio:
         return fits
 
     def truth(self, path: str, size: int) -> None:
-        """Writes normals, depth and material at the centres of the pixels.
-
-        Args:
-            path: of a multi-layer EXR.
-            size: side in pixels.
-        """
+        """Writes normals, depth and material at pixels' centres, as a layered EXR."""
         scene = bpy.context.scene
         layer = scene.view_layers[0]
         layer.use_pass_normal = layer.use_pass_z = True

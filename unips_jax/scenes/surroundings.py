@@ -1,7 +1,7 @@
-"""Lights: one key light per image, and an environment turned anew for every image.
+"""Distant surroundings: drawn or photographed, turned anew for every image.
 
-An environment is a sky gradient plus rectangular lobes (windows, lamps, soft boxes,
-clouds). Its radiance can be asked for already blurred, which is all that rough
+Drawn ones are a sky gradient plus rectangular lobes (windows, lamps, soft boxes,
+clouds). Their radiance can be asked for already blurred, which is all that rough
 reflections and a coarse set of basis directions need.
 """
 
@@ -12,30 +12,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.environments import Photograph, load_tables, look_up
-from unips_jax.scenes.noise import Point, dot, rotate, sine
+from unips_jax.scenes.noise import Point, rotate, sine
 
 NUM_LOBES = 6
-_DIRECTIONAL, _ENVIRONMENT, _MIXED, _POINT, _AREA = range(5)
-
-
-class KeyLights(NamedTuple):
-    """One light per image.
-
-    Attributes:
-        vector: `[N, 3]`, unit direction towards the light, or its position.
-        near: `[N]`, 1 where `vector` is a position.
-        radius: `[N]`, angular radius in radians, or radius where near.
-        color: `[N, 3]`, irradiance on a surface that faces the light; near lights:
-            at distance 1 from it.
-    """
-
-    vector: Array
-    near: Array
-    radius: Array
-    color: Array
 
 
 class Environment(NamedTuple):
@@ -66,22 +47,6 @@ class Environment(NamedTuple):
     photograph: Photograph | None = None
 
 
-class Sides(NamedTuple):
-    """From where all of a scene's images are lit.
-
-    Attributes:
-        one: whether from one side only.
-        corner: whether from one quadrant only.
-        axes: `[2, 3]`, to the middle of the side in the image plane, and across it.
-        turn: how far environments turn between images, as a share of a whole turn.
-    """
-
-    one: Array
-    corner: Array
-    axes: Array
-    turn: Array
-
-
 def _smooth_step(x: Array) -> Array:
     """From -0.5 at x <= -1.5 to 0.5 at x >= 1.5."""
     x = jnp.clip(x * (2 / 3), -1.0, 1.0)
@@ -95,12 +60,9 @@ def environment_radiance(
 
     Args:
         environment: the surroundings.
-        rotation: `[3, 3]`, one image's.
+        rotation: one image's.
         direction: unit, in the world.
         blur: about the lobe's standard deviation, radians.
-
-    Returns:
-        Red, green and blue.
     """
     d = rotate(rotation, direction)
     up = d[1]
@@ -147,7 +109,7 @@ def surroundings(environment: Environment, directions: Array, blur: float) -> Ar
     )(environment.rotation)
 
 
-def _warmth(draws: Draws, amount: float, *shape: int) -> Array:
+def warmth(draws: Draws, amount: float, *shape: int) -> Array:
     """Colours along daylight to lamp light, `[*shape, 3]`, green 1."""
     warm = draws.uniform(-1.0, 1.0, *shape)[..., None]
     return jnp.exp(amount * warm * jnp.asarray([0.5, 0.0, -0.6]))
@@ -158,19 +120,16 @@ def draw_environment(
 ) -> Environment:
     """Draws a sky, a room, a studio or a random mixture of lobes.
 
-    Args:
-        draws: at least 80 + 5 N numbers.
-        num_images: N.
-        turn: how far it turns between images, as a share of a whole turn.
+    `draws` has at least 80 + 5 N numbers; `turn` is as in `Sides`.
     """
     kind = draws.choice([0.3, 0.3, 0.2, 0.2])
     sky, room, studio = kind == 0, kind == 1, kind == 2
     dim = draws.log_uniform(0.02, 0.25)
     level = jnp.where(sky, 1.0, jnp.where(studio, 0.2 * dim, dim))
-    zenith = level * _warmth(draws, 0.7) * draws.uniform(0.5, 1.2)
+    zenith = level * warmth(draws, 0.7) * draws.uniform(0.5, 1.2)
     zenith = zenith * jnp.where(sky, jnp.asarray([0.6, 0.8, 1.2]), 1.0)
-    horizon = level * _warmth(draws, 0.5) * draws.uniform(0.5, 1.5)
-    ground = level * _warmth(draws, 0.5) * draws.uniform(0.05, 0.5)
+    horizon = level * warmth(draws, 0.5) * draws.uniform(0.5, 1.5)
+    ground = level * warmth(draws, 0.5) * draws.uniform(0.05, 0.5)
     shape = (NUM_LOBES,)
     center = draws.direction(*shape)
     # Most light comes from above: in eight photographed environments a surface that
@@ -189,7 +148,7 @@ def draw_environment(
     power = draws.log_uniform(0.2, 3.0, *shape) * used
     area = 4 * half[:, 0] * half[:, 1]
     radiance = power / (area + 0.05) * jnp.where(sky, 0.4, 1.0)
-    color = radiance[:, None] * _warmth(draws, 0.7, *shape)
+    color = radiance[:, None] * warmth(draws, 0.7, *shape)
     # Per image: any rotation for some scenes, for the others about the vertical only.
     free = draws.rotation(num_images)
     angles = turn * draws.uniform(-math.pi, math.pi, num_images)
@@ -227,12 +186,9 @@ class Sun(NamedTuple):
 def draw_photograph(
     draws: Draws, environment: Environment, rate: float
 ) -> tuple[Environment, Sun]:
-    """Puts a photographed environment in the place of some of the drawn ones.
+    """Puts photographed environments in the place of a share of the drawn ones.
 
-    Args:
-        draws: at least 6 numbers.
-        environment: a drawn one.
-        rate: share of scenes.
+    `draws` has at least 6 numbers.
     """
     tables = load_tables()
     used = draws.chance(rate)
@@ -240,7 +196,7 @@ def draw_photograph(
     share = used * part
     index = draws.choice(jnp.ones(len(tables.radiance)))
     mirror = jnp.where(draws.chance(0.5), 1.0, -1.0)
-    tint = _warmth(draws, 0.4)
+    tint = warmth(draws, 0.4)
     flip = jnp.stack([mirror, jnp.ones(()), jnp.ones(())])
     direction = jnp.asarray(tables.sun_directions)[index] * flip
     color = jnp.asarray(tables.sun_colors)[index] * tint * share
@@ -252,7 +208,7 @@ def draw_photograph(
     return changed, Sun(used, direction, color)
 
 
-def _with_sun(environment: Environment, sun: Sun) -> Environment:
+def with_sun(environment: Environment, sun: Sun) -> Environment:
     """The sun as one more lobe, three degrees wide, in the place of the first."""
     helper = jnp.where(jnp.abs(sun.direction[1]) > 0.9, jnp.eye(3)[0], jnp.eye(3)[1])
     right = jnp.cross(helper, sun.direction)
@@ -268,125 +224,3 @@ def _with_sun(environment: Environment, sun: Sun) -> Environment:
         old.at[0].set(jnp.where(sun.used, new, old[0])) for old, new in values
     )
     return environment._replace(axes=axes, half=halves, color=color)
-
-
-def _key_directions(draws: Draws, num_images: int) -> Array:
-    """Directions over a cap around the viewer whose width varies by scene."""
-    lowest = jnp.cos(draws.uniform(0.8, 1.65))
-    z = draws.uniform(lowest, 1.0, num_images)
-    angle = draws.uniform(0.0, 2 * math.pi, num_images)
-    ring = jnp.sqrt(1 - z * z)
-    return jnp.stack([ring * jnp.cos(angle), ring * jnp.sin(angle), z], -1)
-
-
-def draw_sides(draws: Draws, config: SceneConfig) -> Sides:
-    """Draws from where a scene is lit.
-
-    Args:
-        draws: at least 4 numbers.
-        config: `side_rate`.
-    """
-    one = draws.chance(config.side_rate)
-    angle = draws.uniform(0.0, 2 * math.pi)
-    cos, sin, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros(())
-    return Sides(
-        one=one,
-        corner=one & draws.chance(0.4),
-        axes=jnp.stack([jnp.stack([cos, sin, zero]), jnp.stack([-sin, cos, zero])]),
-        turn=jnp.where(one, draws.uniform(0.1, 0.4), 1.0),
-    )
-
-
-def _to_side(sides: Sides, direction: Array) -> Array:
-    """Mirrors directions `[N, 3]` that come from elsewhere."""
-    for used, axis in zip((sides.one, sides.corner), sides.axes, strict=True):
-        behind = jnp.minimum(direction @ axis, 0.0)
-        direction = direction - 2 * used * behind[:, None] * axis
-    return direction
-
-
-def draw_lights(
-    draws: Draws,
-    kind: Array,
-    num_images: int,
-    sides: Sides | None = None,
-    photographs: tuple[Draws, float] | None = None,
-) -> tuple[KeyLights, Environment]:
-    """Draws one scene's lights.
-
-    Args:
-        draws: at least 110 + 20 N numbers.
-        kind: index into `LIGHT_KINDS`, int32 scalar.
-        num_images: N.
-        sides: from where; None: from anywhere.
-        photographs: what draws photographed environments, 6 numbers, and their share.
-
-    Returns:
-        Key lights and an environment; what the kind lacks has no brightness.
-    """
-    turn = 1.0 if sides is None else sides.turn
-    environment = draw_environment(draws, num_images, turn)
-    sun_seen = None
-    if photographs is not None:
-        environment, sun_seen = draw_photograph(
-            photographs[0], environment, photographs[1]
-        )
-    direction = _key_directions(draws, num_images)
-    if sides is not None:
-        direction = _to_side(sides, direction)
-    distance = draws.uniform(1.3, 3.0) * draws.uniform(0.8, 1.25, num_images)
-    near = (kind == _POINT) | (kind == _AREA)
-    area = kind == _AREA
-    # The sun turns with its sky.
-    high = draws.direction()
-    high = high.at[1].set(jnp.abs(high[1]))
-    high = jnp.einsum("nji,j->ni", environment.rotation, high)
-    from_sky = kind == _ENVIRONMENT
-    sun = draws.chance(0.5)
-    direction = jnp.where(from_sky, high, direction)
-    vector = jnp.where(near, direction * distance[:, None], direction)
-    radius = jnp.where(area, draws.uniform(0.1, 0.6), 0.01)
-    radius = jnp.where(from_sky, draws.log_uniform(0.01, 0.2), radius)
-    brightness = jnp.exp(draws.uniform(-0.3, 0.3, num_images))
-    brightness = brightness * jnp.where(near, distance**2, 1.0)
-    key_share = jnp.where(from_sky, sun * draws.uniform(0.3, 2.0), 2.5)
-    fill = draws.chance(0.5) * draws.log_uniform(0.02, 0.3)
-    share = jnp.where(kind == _DIRECTIONAL, 0.0, jnp.where(near, fill, 1.0))
-    # The lamp is 0.4 to 12 times as strong as the environment (nine tenths; median 2).
-    share = jnp.where(kind == _MIXED, draws.log_uniform(0.3, 4.0), share)
-    tint = _warmth(draws, 0.4, num_images) * _warmth(draws, 0.4)
-    color = tint * (brightness * key_share)[:, None]
-    if sun_seen is not None:
-        # Where the key light is the sun it is the photograph's, with sharp shadows.
-        apart = sun_seen.used & from_sky
-        towards = jnp.einsum("nji,j->ni", environment.rotation, sun_seen.direction)
-        vector = jnp.where(apart, towards, vector)
-        color = jnp.where(apart, sun_seen.color * environment.scale[:, None], color)
-        rest = sun_seen._replace(color=sun_seen.color * ~apart)
-        environment = _with_sun(environment, rest)
-    ones = jnp.ones(num_images)
-    keys = KeyLights(vector, near * ones, radius * ones, color)
-    return keys, environment._replace(scale=environment.scale * share)
-
-
-def key_light_at(
-    vector: Array, near: Array, point: Point
-) -> tuple[Point, Array, Array]:
-    """Direction, distance and attenuation of one key light at points.
-
-    Args:
-        vector: `[3]`.
-        near: scalar.
-        point: in the world.
-
-    Returns:
-        Unit direction to the light, distance (huge where distant), and the factor
-        on the light's colour.
-    """
-    offset = tuple(vector[i] - near * point[i] for i in range(3))
-    squared = jnp.maximum(dot(offset, offset), 1e-4)  # type: ignore[arg-type]
-    inverse = 1 / jnp.sqrt(squared)
-    direction = tuple(c * inverse for c in offset)
-    reach = jnp.where(near > 0, squared * inverse, 1e3)
-    attenuation = jnp.where(near > 0, 1 / squared, 1.0)
-    return direction, reach, attenuation  # type: ignore[return-value]

@@ -1,0 +1,165 @@
+"""A key light per image (a lamp, near or far, or the sun), and its surroundings."""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from unips_jax.scenes.config import LIGHT_KINDS, SceneConfig
+from unips_jax.scenes.draws import Draws
+from unips_jax.scenes.noise import Point, dot
+from unips_jax.scenes.surroundings import (
+    Environment,
+    draw_environment,
+    draw_photograph,
+    warmth,
+    with_sun,
+)
+
+_DIRECTIONAL, _ENVIRONMENT, _MIXED, _POINT, _AREA = range(len(LIGHT_KINDS))
+
+
+class KeyLights(NamedTuple):
+    """One light per image.
+
+    Attributes:
+        vector: `[N, 3]`, unit direction towards the light, or its position.
+        near: `[N]`, 1 where `vector` is a position.
+        radius: `[N]`, angular radius in radians, or radius where near.
+        color: `[N, 3]`, irradiance on a surface that faces the light; near lights:
+            at distance 1 from it.
+    """
+
+    vector: Array
+    near: Array
+    radius: Array
+    color: Array
+
+
+class Sides(NamedTuple):
+    """From where all of a scene's images are lit.
+
+    Attributes:
+        one: whether from one side only.
+        corner: whether from one quadrant only.
+        axes: `[2, 3]`, to the middle of the side in the image plane, and across it.
+        turn: how far environments turn between images, as a share of a whole turn.
+    """
+
+    one: Array
+    corner: Array
+    axes: Array
+    turn: Array
+
+
+def _key_directions(draws: Draws, num_images: int) -> Array:
+    """Directions over a cap around the viewer whose width varies by scene."""
+    lowest = jnp.cos(draws.uniform(0.8, 1.65))
+    z = draws.uniform(lowest, 1.0, num_images)
+    angle = draws.uniform(0.0, 2 * math.pi, num_images)
+    ring = jnp.sqrt(1 - z * z)
+    return jnp.stack([ring * jnp.cos(angle), ring * jnp.sin(angle), z], -1)
+
+
+def draw_sides(draws: Draws, config: SceneConfig) -> Sides:
+    """Draws from where a scene is lit; `draws` has at least 4 numbers."""
+    one = draws.chance(config.side_rate)
+    angle = draws.uniform(0.0, 2 * math.pi)
+    cos, sin, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros(())
+    return Sides(
+        one=one,
+        corner=one & draws.chance(0.4),
+        axes=jnp.stack([jnp.stack([cos, sin, zero]), jnp.stack([-sin, cos, zero])]),
+        turn=jnp.where(one, draws.uniform(0.1, 0.4), 1.0),
+    )
+
+
+def _to_side(sides: Sides, direction: Array) -> Array:
+    """Mirrors directions `[N, 3]` that come from elsewhere."""
+    for used, axis in zip((sides.one, sides.corner), sides.axes, strict=True):
+        behind = jnp.minimum(direction @ axis, 0.0)
+        direction = direction - 2 * used * behind[:, None] * axis
+    return direction
+
+
+def draw_lights(
+    draws: Draws,
+    kind: Array,
+    num_images: int,
+    sides: Sides | None = None,
+    photographs: tuple[Draws, float] | None = None,
+) -> tuple[KeyLights, Environment]:
+    """Draws one scene's lights.
+
+    Args:
+        draws: at least 110 + 20 N numbers.
+        kind: index into `LIGHT_KINDS`.
+        num_images: N.
+        sides: from where; None: from anywhere.
+        photographs: what draws photographed environments, 6 numbers, and their share.
+
+    Returns:
+        Key lights and an environment; what the kind lacks has no brightness.
+    """
+    turn = 1.0 if sides is None else sides.turn
+    environment = draw_environment(draws, num_images, turn)
+    sun_seen = None
+    if photographs is not None:
+        environment, sun_seen = draw_photograph(
+            photographs[0], environment, photographs[1]
+        )
+    direction = _key_directions(draws, num_images)
+    if sides is not None:
+        direction = _to_side(sides, direction)
+    distance = draws.uniform(1.3, 3.0) * draws.uniform(0.8, 1.25, num_images)
+    near = (kind == _POINT) | (kind == _AREA)
+    area = kind == _AREA
+    # The sun turns with its sky.
+    high = draws.direction()
+    high = high.at[1].set(jnp.abs(high[1]))
+    high = jnp.einsum("nji,j->ni", environment.rotation, high)
+    from_sky = kind == _ENVIRONMENT
+    sun = draws.chance(0.5)
+    direction = jnp.where(from_sky, high, direction)
+    vector = jnp.where(near, direction * distance[:, None], direction)
+    radius = jnp.where(area, draws.uniform(0.1, 0.6), 0.01)
+    radius = jnp.where(from_sky, draws.log_uniform(0.01, 0.2), radius)
+    brightness = jnp.exp(draws.uniform(-0.3, 0.3, num_images))
+    brightness = brightness * jnp.where(near, distance**2, 1.0)
+    key_share = jnp.where(from_sky, sun * draws.uniform(0.3, 2.0), 2.5)
+    fill = draws.chance(0.5) * draws.log_uniform(0.02, 0.3)
+    share = jnp.where(kind == _DIRECTIONAL, 0.0, jnp.where(near, fill, 1.0))
+    # The lamp is 0.4 to 12 times as strong as the environment (nine tenths; median 2).
+    share = jnp.where(kind == _MIXED, draws.log_uniform(0.3, 4.0), share)
+    tint = warmth(draws, 0.4, num_images) * warmth(draws, 0.4)
+    color = tint * (brightness * key_share)[:, None]
+    if sun_seen is not None:
+        # Where the key light is the sun it is the photograph's, with sharp shadows.
+        apart = sun_seen.used & from_sky
+        towards = jnp.einsum("nji,j->ni", environment.rotation, sun_seen.direction)
+        vector = jnp.where(apart, towards, vector)
+        color = jnp.where(apart, sun_seen.color * environment.scale[:, None], color)
+        rest = sun_seen._replace(color=sun_seen.color * ~apart)
+        environment = with_sun(environment, rest)
+    ones = jnp.ones(num_images)
+    keys = KeyLights(vector, near * ones, radius * ones, color)
+    return keys, environment._replace(scale=environment.scale * share)
+
+
+def key_light_at(
+    vector: Array, near: Array, point: Point
+) -> tuple[Point, Array, Array]:
+    """One key light, of `KeyLights`, at points in the world.
+
+    Returns:
+        Unit direction to the light, distance (huge where distant), and the factor
+        on the light's colour.
+    """
+    offset = tuple(vector[i] - near * point[i] for i in range(3))
+    squared = jnp.maximum(dot(offset, offset), 1e-4)
+    inverse = 1 / jnp.sqrt(squared)
+    direction = tuple(c * inverse for c in offset)
+    reach = jnp.where(near > 0, squared * inverse, 1e3)
+    attenuation = jnp.where(near > 0, 1 / squared, 1.0)
+    return direction, reach, attenuation
