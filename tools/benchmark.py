@@ -36,11 +36,7 @@ from unips_jax.errors import InputError
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.models.config import ModelConfig, SelfCalibratingConfig, UniPSConfig
 from unips_jax.train import load_config
-from unips_jax.training.compilation import (
-    compile_together,
-    keep_freed_memory,
-    return_freed_memory,
-)
+from unips_jax.training.compilation import compile_together
 from unips_jax.training.config import Config, DataConfig
 from unips_jax.training.state import new_state
 from unips_jax.training.step import train_step
@@ -165,7 +161,6 @@ def estimation_benchmark(
 ) -> dict:
     """Encoder alone, end to end, and what the first call adds to compile or to load."""
     network = jax.block_until_ready(random_weights(config))
-    return_freed_memory()  # who estimates loads weights: drawing them does not count
     forget_peak_memory()
     stack, mask = map(jnp.asarray, disc(images, size))
     views = 1 + config.mirror
@@ -211,14 +206,12 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
     """One step on one object, and the scenes it would need."""
     from unips_jax.scenes import render_batch
 
-    settle = keep_freed_memory() if config.train.keep_memory else return_freed_memory
     data, model = config.data, config.model
     batch = training_batch(config, images)
     state = new_state(config, jax.random.key(0))
     step = compile_together(
         jax.jit(functools.partial(train_step, config=config), donate_argnums=0),
         compiling=lambda _: contextlib.nullcontext(),
-        settle=settle,
     )
     key = jax.random.key(1)
     state, _ = jax.block_until_ready(step(state, batch, key))

@@ -2,9 +2,6 @@
 
 import dataclasses
 import operator
-import platform
-import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -162,73 +159,3 @@ def test_nonfinite_loss_saves_the_batch(tmp_path, monkeypatch):
     with np.load(tmp_path / "nonfinite_step1.npz") as saved:
         assert np.isnan(saved["normals"]).any()
     assert not list((tmp_path / "checkpoints").glob("[0-9]*"))
-
-
-only_glibc = pytest.mark.skipif(
-    platform.libc_ver()[0] != "glibc", reason="tells glibc what to do"
-)
-
-FAULTS = """
-import resource, sys
-import jax, jax.numpy as jnp
-from unips_jax.training.compilation import keep_freed_memory
-
-if sys.argv[1] == "keep":
-    keep_freed_memory()
-step = jax.jit(lambda x: x + 1)
-x = jnp.ones(16 * 2**20)
-for _ in range(100):
-    x = step(x).block_until_ready()
-print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
-"""
-
-
-@only_glibc
-def test_kept_memory_is_not_asked_for_again():
-    faults = {}
-    for name in ("keep", "return"):
-        command = [sys.executable, "-c", FAULTS, name]
-        run = subprocess.run(command, check=True, capture_output=True, text=True)
-        faults[name] = int(run.stdout)
-    assert faults["keep"] < faults["return"] / 2
-
-
-HOLES = """
-import ctypes, os, random
-from pathlib import Path
-from unips_jax.training.compilation import keep_freed_memory, settle_memory
-
-keep_freed_memory()
-library = ctypes.CDLL(None)
-library.malloc.restype = ctypes.c_void_p
-sizes = random.Random(0).choices(range(2**15, 2**20), k=1000)
-blocks = []
-for size in sizes:
-    blocks.append(library.malloc(ctypes.c_size_t(size)))
-    ctypes.memset(ctypes.c_void_p(blocks[-1]), 1, size)
-    library.malloc(2000)  # stays between it and the next
-for block in blocks:
-    library.free(ctypes.c_void_p(block))
-end = max(blocks)
-
-
-def resident():
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-before = resident()
-settle_memory()
-returned = (before - resident()) / sum(sizes)
-found = sum(library.malloc(ctypes.c_size_t(2**15)) < end for _ in range(100))
-print(returned, found)
-"""
-
-
-@only_glibc
-def test_settled_memory_has_no_holes():
-    command = [sys.executable, "-c", HOLES]
-    run = subprocess.run(command, check=True, capture_output=True, text=True)
-    returned, found = run.stdout.split()
-    assert float(returned) > 0.9
-    assert int(found) == 0

@@ -48,7 +48,6 @@ _FREE = {
         "validate_every",
         "validation_scenes",
         "validation_images",
-        "keep_memory",
     },
 }
 # The file that names a checkpoint's step: its folder's name is not in the checksums.
@@ -62,7 +61,7 @@ def changed_fields(saved: dict[str, Any], config: Config) -> dict[str, Any]:
     """What makes a run another one than that which was saved.
 
     Fields that `saved`, a `Config` as read from JSON, lacks came with a later version:
-    they had their defaults.
+    they had their defaults. Fields that only it knows are gone and do not count.
 
     Returns:
         By field, what was saved and what is given.
@@ -75,9 +74,9 @@ def changed_fields(saved: dict[str, Any], config: Config) -> dict[str, Any]:
             json.dumps({f.name: f.default for f in dataclasses.fields(section)})
         )
         before = defaults | saved[part]
-        for name in before.keys() - free:
-            if before[name] != ours.get(name):
-                changed[f"{part}.{name}"] = before[name], ours.get(name)
+        for name in ours.keys() - free:
+            if before[name] != ours[name]:
+                changed[f"{part}.{name}"] = before[name], ours[name]
     return changed
 
 

@@ -161,8 +161,6 @@ class TrainConfig:
         validate_every: steps between validations.
         validation_scenes: held-out scenes in a validation; 0: no validation.
         validation_images: images of each.
-        keep_memory: keep what a step frees for the next (Linux). On CPU, a step of
-            `tiny` takes a quarter less time, and training half more memory.
     """
 
     steps: int = 67_327
@@ -176,7 +174,6 @@ class TrainConfig:
     validate_every: int = 2000
     validation_scenes: int = 64
     validation_images: int = 8
-    keep_memory: bool = False
 
     def __post_init__(self) -> None:
         """Checks every field; `ValueError` names it."""
