@@ -7,8 +7,9 @@ from picture_files import HEIGHT, WIDTH, save, smooth
 from PIL import Image
 
 from unips_jax.errors import InputError
+from unips_jax.io.color import srgb_encode
 from unips_jax.io.images import read_image
-from unips_jax.io.masks import mask_box, read_mask
+from unips_jax.io.masks import lit_without_mask, mask_box, read_mask
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
 
@@ -154,7 +155,7 @@ def test_dark_parts_of_an_object_are_kept(tmp_path):
 
 
 def test_dark_grey_is_not_black(tmp_path):
-    lit_disc(tmp_path, background=3)
+    lit_disc(tmp_path, background=60)  # 4.5% of light
     capture = read_capture(select(tmp_path))
     assert capture.mask.all() and capture.notes == ()
 
@@ -191,3 +192,47 @@ def test_masks_of_other_formats(tmp_path):
         (tmp_path / name).unlink()
     Image.fromarray(~mask).save(tmp_path / "mask.pbm")
     np.testing.assert_array_equal(read_capture(select(tmp_path)).mask, ~mask)
+
+
+STORED = {
+    "8 bits, sRGB": (np.uint8, "srgb"),
+    "8 bits, linear": (np.uint8, "linear"),
+    "16 bits": (np.uint16, "linear"),
+    "16 bits, dark": (np.uint16, "linear"),
+    "floats": (np.float32, "linear"),
+}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.012])
+def test_black_is_black_whatever_the_bits(noise):
+    """The brightest of photographs of an object in a dark room, without a mask."""
+    rng = np.random.default_rng(3)
+    height, width = 120, 160
+    y, x = np.mgrid[:height, :width]
+    distance = np.hypot(x - 80, y - 60) / 45
+    inside = distance < 1
+    light = np.where(inside, 0.05 + 0.8 * np.sqrt(np.maximum(1 - distance**2, 0)), 0)
+    light = light + noise * (0.6 + 0.4 * rng.random(light.shape))
+    found = {}
+    for name, (dtype, transfer) in STORED.items():
+        values = srgb_encode(light) if transfer == "srgb" else light
+        values = values * 0.15 if "dark" in name else values
+        if dtype != np.float32:
+            values = np.rint(values * np.iinfo(dtype).max)
+        found[name] = lit_without_mask(values.astype(dtype), transfer)
+    for name, lit in found.items():
+        assert (lit != inside).sum() < 0.01 * inside.sum(), name
+    with_light = np.where(inside, light, 0.1).astype(np.float32)
+    assert lit_without_mask(with_light, "linear").all()  # no black background
+
+
+def test_a_set_of_16_bits_and_its_twin_of_8(shared_dir):
+    folder = shared_dir / "cases/black_background_16_bit"
+    truth = read_mask(folder / "true_mask.png")
+    masks = [
+        read_capture(select(folder / name), transfer="linear").mask
+        for name in ("bits8", "bits16")
+    ]
+    assert (masks[0] != masks[1]).sum() < 0.002 * truth.sum()
+    for mask in masks:
+        assert (mask != truth).sum() < 0.01 * truth.sum()

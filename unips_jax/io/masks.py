@@ -6,10 +6,15 @@ import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.color import Transfer, as_linear
 from unips_jax.io.images import ImageFile, read_image_file, require_finite
 
 _BLACK = 2  # levels of 255 that count as black
 _NEARLY_BLACK = 32  # next to black: what a JPEG leaves around an object, 1.4% of light
+_BLACK_SHARE, _NEARLY_SHARE = 0.0006, 0.0144  # the same, of white light
+_FLOOR_MOST, _REACH_MOST = 0.03, 0.025  # of white: a background that is black at all
+_ALONG = 0.3  # of the frame
+_SPECK, _SPECK_SHARE = 4, 0.0005  # pixels, and of all: noise that goes beyond the rest
 _LEVELS_SHARE = 0.9
 _LEVEL = 1 / 16
 
@@ -77,17 +82,54 @@ def mask_box(mask: np.ndarray, margin: int = 0) -> tuple[slice, slice]:
 
 
 def lit_pixels(brightest: np.ndarray) -> np.ndarray:
-    """Where photographs show something: not black, in 8 bits nor nearly so beside it.
+    """Where photographs show something: not black, in 8 bits nor nearly so next to it.
 
     Args:
         brightest: `[H, W]`, the largest value over photographs and colours.
     """
     if brightest.dtype != np.uint8:
         return brightest > 0
-    nearly = (brightest <= _NEARLY_BLACK).astype(np.uint8)
-    count, regions = cv2.connectedComponents(nearly, connectivity=8)
+    return _without(brightest <= _NEARLY_BLACK, brightest <= _BLACK)
+
+
+def lit_without_mask(brightest: np.ndarray, transfer: Transfer) -> np.ndarray:
+    """Where photographs of no mask show more than black and a sensor's noise.
+
+    Black is 0.06% of white, the brightest 0.5%. What is nearly so is black next to it,
+    up to 1.4%, or, where most of the frame is dark, to what its noise reaches; then
+    also what lies along the frame. All in light: the bits do not matter.
+
+    Args:
+        brightest: `[H, W]`, the largest value over photographs and colours.
+        transfer: how its values encode light.
+    """
+    light = as_linear(brightest, transfer)
+    white = float(np.percentile(light, 99.5)) or 1.0
+    frame = np.ones(light.shape, bool)
+    frame[1:-1, 1:-1] = False
+    floor = float(np.median(light[frame]))
+    nearly = _NEARLY_SHARE * white
+    black = light <= _BLACK_SHARE * white
+    if brightest.dtype == np.uint8:
+        black |= brightest <= _BLACK
+    if floor > _FLOOR_MOST * white:
+        return _without(light <= nearly, black)
+    spread = 1.4826 * float(np.median(np.abs(light[frame] - floor)))
+    reach = float(np.clip(floor + 4 * spread, nearly, _REACH_MOST * white))
+    dark = light <= reach
+    _, regions = cv2.connectedComponents(dark.astype(np.uint8), connectivity=8)
+    along = np.bincount(regions[frame & dark], minlength=regions.max() + 1)
+    lit = _without(dark, black | (along > _ALONG * frame.sum())[regions])
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(lit.astype(np.uint8))
+    specks = stats[:, cv2.CC_STAT_AREA] <= max(_SPECK, _SPECK_SHARE * lit.sum())
+    return lit & ~specks[parts]
+
+
+def _without(dark: np.ndarray, black: np.ndarray) -> np.ndarray:
+    """All but the dark regions that have a black pixel."""
+    count, regions = cv2.connectedComponents(dark.astype(np.uint8), connectivity=8)
     lit = np.ones(count, bool)
-    lit[regions[brightest <= _BLACK]] = False
+    lit[regions[black & dark]] = False
     return lit[regions]
 
 

@@ -26,7 +26,7 @@ from unips_jax.io.images import (
     read_image_file,
     require_finite,
 )
-from unips_jax.io.masks import above_half, lit_pixels, mask_of
+from unips_jax.io.masks import above_half, lit_pixels, lit_without_mask, mask_of
 from unips_jax.io.orientation import oriented_as
 from unips_jax.io.selection import Selection, select
 
@@ -218,9 +218,13 @@ class _Stack:
         """
         notes = []
         where = "of the whole image (no mask)" if whole else "of the mask"
+        if whole:
+            lit = lit_without_mask(self.brightest, self.encoding.transfer)
+        else:
+            lit = lit_pixels(self.brightest)
         for kept, what in (
             (self.opaque, "that are transparent in a photograph"),
-            (lit_pixels(self.brightest), "that are black in all photographs"),
+            (lit, "that are black in all photographs"),
         ):
             out = int((self.mask & ~kept).sum())
             left = self.mask & kept
