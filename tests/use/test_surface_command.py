@@ -105,7 +105,7 @@ def test_bad_normals_are_one_line(files, capsys):
     np.save(files / "none.npy", np.zeros((4, 5, 3)))
     for name, message in (
         ("flat.npy", "expected normals, [H, W, 3], got (4, 5)"),
-        ("none.npy", "expected normals inside the mask, got none"),
+        ("none.npy", "expected normals, got none"),
         ("absent.npy", "cannot be read"),
     ):
         assert surface([str(files / name), "-o", str(files / "out")]) == 2

@@ -4,6 +4,9 @@ Photographs that moved, repeat each other, are too bright, too dark or out of fo
 light from one side only, masks with holes, files that do not fit together: each is one
 line that names the photographs and says what to do. Nothing is written. `unips
 estimate` says the same of what it takes.
+
+A normal map, or an array of normals (.npy), is looked at too: its range and lengths,
+its background, its axes, as `unips surface` and `unips relight` do.
 """
 
 import dataclasses
@@ -11,7 +14,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -20,6 +23,8 @@ from unips_jax.capture.unpack import is_container, unpacked
 from unips_jax.console import command, parse
 from unips_jax.errors import InputError
 from unips_jax.io.images import MAX_PIXELS
+from unips_jax.io.normal_maps import Examined, is_normal_map, read_normal_map
+from unips_jax.io.normals import NormalMap
 from unips_jax.io.record import print_line, print_selection
 from unips_jax.io.selection import select
 
@@ -30,13 +35,14 @@ class Options:
 
     Attributes:
         folders: photographs of an object; or a file that holds them, a video or a TIFF
-            of several pages.
+            of several pages; or a normal map.
         mask: an image that is bright on the object, in place of the folder's mask;
             auto: the folder's, else a suggested one; none: the whole image.
         include: patterns such as "img_*.png": the images they fit are the photographs.
         exclude: patterns of files to leave out.
         transfer: how the photographs encode light (auto: by their colour tags).
         max_pixels: refuse larger images.
+        normal_map: convention of normal maps; see `unips surface`.
         json: print a list of JSON objects, one a folder, and nothing else.
     """
 
@@ -51,6 +57,7 @@ class Options:
     exclude: tuple[str, ...] = ()
     transfer: Literal["auto", "linear", "srgb"] = "auto"
     max_pixels: int = MAX_PIXELS
+    normal_map: NormalMap = "opengl"
     json: bool = False
 
 
@@ -62,6 +69,13 @@ def main(argv: Sequence[str] | None = None) -> None:
         raise InputError("expected a folder of photographs, got none; name it")
     reports = []
     for folder in options.folders:
+        if is_normal_map(folder):
+            found = read_normal_map(folder, options.normal_map)
+            if options.json:
+                reports.append(_normal_map_record(folder, found))
+            else:
+                _print_normal_map(folder, found)
+            continue
         report = _check(folder, options)
         if options.json:
             reports.append(report.record())
@@ -90,6 +104,32 @@ def _check(folder: Path, options: Options, source: Path | None = None) -> Report
         look_for_mask=options.mask == "auto",
         max_pixels=options.max_pixels,
     )
+
+
+def _normal_map_record(path: Path, found: Examined) -> dict[str, Any]:
+    height, width, _ = found.normals.shape
+    return {
+        "normals": str(path),
+        "width": width,
+        "height": height,
+        "pixels": int((found.normals != 0).any(-1).sum()),
+        "integrability": round(found.integrability, 3),
+        "mended": found.mended,
+        "findings": found.doubts,
+    }
+
+
+def _print_normal_map(path: Path, found: Examined) -> None:
+    record = _normal_map_record(path, found)
+    size = f"{record['width']} x {record['height']}"
+    print(f"{path}: normals of {record['pixels']} of {size} pixels")
+    print_line("slopes", f"correlation of dp/dy and dq/dx: {found.integrability:+.2f}")
+    for text in found.mended:
+        print_line("normals", text)
+    for text in found.doubts:
+        print_line("look", text)
+    if not (found.mended or found.doubts):
+        print_line("", "nothing found that is wrong")
 
 
 def _print(report: Report) -> None:

@@ -22,7 +22,8 @@ from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_linear, srgb_encode
 from unips_jax.io.images import read_image_file, require_finite, write_exr, write_image
-from unips_jax.io.normals import NormalMap, load_normals
+from unips_jax.io.normal_maps import print_examined, read_normal_map
+from unips_jax.io.normals import NormalMap
 from unips_jax.io.record import print_line
 from unips_jax.io.results import appearing_at_once, check_target
 from unips_jax.pictures.animation import AnimationFormat, write_animation
@@ -53,8 +54,10 @@ class Options:
         metallic: of the whole surface.
         exposure: brighter by so many stops than the image whose brightest half a
             percent is just below white.
-        normal_map: green of a normal map is up (opengl) or down (directx), or down and
-            blue away from the viewer (opencv).
+        normal_map: green is up (opengl) or down (directx), down and blue away from the
+            viewer (opencv), or red to the left (x-left).
+        as_stored: take the values as they are: what is certainly wrong with them is not
+            mended.
         focal: focal length in pixels; without it the camera is orthographic.
     """
 
@@ -71,6 +74,7 @@ class Options:
     metallic: float = 0.0
     exposure: float = 0.0
     normal_map: NormalMap = "opengl"
+    as_stored: bool = False
     focal: float | None = None
 
 
@@ -79,7 +83,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     """`unips relight`."""
     options = parse(Options, argv, prog="unips relight", description=__doc__)
     _check(options)
-    normals = _unit(load_normals(options.result, options.normal_map))
+    examined = read_normal_map(
+        options.result, options.normal_map, as_stored=options.as_stored
+    )
+    print_examined(examined)
+    normals = examined.normals
     base_color, source = _base_color(options, normals.shape[:2])
     environment = None
     if options.environment is not None:
@@ -97,6 +105,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         names = sorted(file.name for file in place.iterdir())
         record = {
             "normals": str(options.result),
+            "mended": examined.mended,
+            "warnings": examined.doubts,
             "base_color": source,
             "light": None if options.environment else _direction(options),
             "environment": str(options.environment) if options.environment else None,
@@ -141,13 +151,6 @@ def _check(options: Options) -> None:
 
 def _direction(options: Options) -> tuple[float, float, float]:
     return options.light or (-1.0, 1.0, 1.5)
-
-
-def _unit(normals: np.ndarray) -> np.ndarray:
-    """Unit normals; 0 where there is none."""
-    normals = np.nan_to_num(normals, nan=0.0, posinf=0.0, neginf=0.0)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return normals / np.where(length > 1e-3, length, np.inf)
 
 
 def _linear(path: Path) -> np.ndarray:

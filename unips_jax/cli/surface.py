@@ -23,7 +23,8 @@ from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image_file
 from unips_jax.io.masks import read_mask
-from unips_jax.io.normals import NormalMap, load_normals, read_array
+from unips_jax.io.normal_maps import print_examined, read_normal_map
+from unips_jax.io.normals import NormalMap, read_numbers
 from unips_jax.io.record import print_line
 from unips_jax.io.results import appearing_at_once, check_target
 from unips_jax.surface.files import read_depth
@@ -47,8 +48,10 @@ class Options:
         normals: a normal map, a .npy, or a folder of results.
         output: folder for the results.
         mask: an image that is bright on the object; by default where normals are not 0.
-        normal_map: green of a normal map is up (opengl) or down (directx), or down and
-            blue away from the viewer (opencv); arrays are always as opengl.
+        normal_map: green is up (opengl) or down (directx), down and blue away from the
+            viewer (opencv), or red to the left (x-left).
+        as_stored: take the values as they are: what is certainly wrong with them is not
+            mended.
         photograph: an image of the same size: colours of the mesh, and --focal exif.
         focal: focal length in pixels, or exif, of the photograph; without it the camera
             is orthographic.
@@ -68,6 +71,7 @@ class Options:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     mask: Path | None = None
     normal_map: NormalMap = "opengl"
+    as_stored: bool = False
     photograph: Path | None = None
     focal: Annotated[str | None, tyro.conf.arg(metavar="PIXELS|exif")] = None
     prior: Path | None = None
@@ -85,7 +89,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     """`unips surface`."""
     options = parse(Options, argv, prog="unips surface", description=__doc__)
     _check(options)
-    normals = load_normals(options.normals, options.normal_map)
+    examined = read_normal_map(
+        options.normals, options.normal_map, as_stored=options.as_stored
+    )
+    print_examined(examined)
+    normals = examined.normals
     size = normals.shape[:2]
     mask = None
     if options.mask is not None:
@@ -124,7 +132,13 @@ def main(argv: Sequence[str] | None = None) -> None:
             progress=lambda share: report(round(100 * share), 100),
         )
         names = sorted(file.name for file in place.iterdir())
-        record = {"normals": str(options.normals), **facts, "files": names}
+        record = {
+            "normals": str(options.normals),
+            "mended": examined.mended,
+            "warnings": examined.doubts,
+            **facts,
+            "files": names,
+        }
         text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
         (place / RECORD).write_bytes(text.encode(errors="backslashreplace"))
     print_surface(facts)
@@ -148,7 +162,11 @@ def _check(options: Options) -> None:
 
 
 def _prior(path: Path, size: tuple[int, int]) -> np.ndarray:
-    prior = read_array(path) if path.suffix == ".npy" else read_depth(path)
+    prior = (
+        read_numbers(path).astype(np.float32)
+        if path.suffix == ".npy"
+        else read_depth(path)
+    )
     _check_size(path, prior.shape, size)
     return prior
 

@@ -5,10 +5,11 @@ the background. Normal maps are images of integers, `(n + 1) / 2` of full scale 
 to the nearest in R, G, B, or float images (EXR, TIFF) holding n. Zero lies between two
 of the integers; the upper one, 32768 of 16 bits, stands for it. Either, in all three
 channels, is read as 0. DirectX maps have y, the green channel, flipped; OpenCV's are in
-the frame of its cameras, x right, y down, z away from the viewer; OpenGL's are as the
-arrays.
+the frame of its cameras, x right, y down, z away from the viewer; those of x-left have
+x, the red channel, flipped; OpenGL's are as the arrays.
 """
 
+import stat
 from pathlib import Path
 from typing import Literal
 
@@ -23,9 +24,14 @@ from unips_jax.io.images import (
     write_image,
 )
 
-NormalMap = Literal["opengl", "directx", "opencv"]
+NormalMap = Literal["opengl", "directx", "opencv", "x-left"]
 
-_SIGNS = {"opengl": (1, 1, 1), "directx": (1, -1, 1), "opencv": (1, -1, -1)}
+_SIGNS = {
+    "opengl": (1, 1, 1),
+    "directx": (1, -1, 1),
+    "opencv": (1, -1, -1),
+    "x-left": (-1, 1, 1),
+}
 
 _FULL = 65535
 
@@ -97,47 +103,27 @@ def read_normals(path: Path) -> np.ndarray:
     return normals_of(read_image_file(path, vectors=True))
 
 
-def load_normals(path: Path, normal_map: NormalMap = "opengl") -> np.ndarray:
-    """Normals of a normal map, of an array, or of a folder of results.
-
-    Args:
-        path: an image, a `.npy`, or a folder with `normals.npy`.
-        normal_map: the convention of an image; arrays are always y up.
-
-    Returns:
-        `[H, W, 3]`, float32, as stored: not normalised, and maybe not finite.
-
-    Raises:
-        InputError: if there are none.
-    """
-    if path.is_dir():
-        path = path / "normals.npy"
-    if path.suffix != ".npy":
-        return turn_normals(read_normals(path), normal_map)
-    normals = read_array(path)
-    if normals.ndim != 3 or normals.shape[2] != 3:
-        raise InputError(
-            f"{path}: expected normals, [H, W, 3], got {normals.shape}; give the array "
-            "that `unips estimate` writes"
-        )
-    return normals
-
-
-def read_array(path: Path) -> np.ndarray:
-    """Reads a `.npy` file of numbers, as float32.
+def read_numbers(path: Path) -> np.ndarray:
+    """Reads a `.npy` file of numbers, in its own type.
 
     Raises:
         InputError: if it is none.
     """
     try:
-        values = np.load(path)
+        regular = stat.S_ISREG(path.stat().st_mode)
+        if regular:
+            # As a map of the file: headers may claim any size.
+            values = np.array(np.lib.format.open_memmap(path, mode="r"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: expected an array of numbers: {error}") from None
+    except Exception as error:  # damaged headers raise what they like
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: expected an array of numbers: {reason}") from None
+    if not regular:
+        raise InputError(f"{path}: expected a file, got a folder, pipe or device")
     if values.dtype.kind not in "fiu":
         raise InputError(f"{path}: expected numbers, got {values.dtype}")
-    return values.astype(np.float32)
+    return values
 
 
 def normals_of(file: ImageFile) -> np.ndarray:

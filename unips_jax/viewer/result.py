@@ -12,7 +12,7 @@ import numpy as np
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.io.images import read_bytes, read_image_file
-from unips_jax.io.normals import load_normals
+from unips_jax.io.normal_maps import read_normal_map
 from unips_jax.io.results import RECORD, read_record
 from unips_jax.surface.files import read_depth
 
@@ -101,12 +101,7 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
             f"{folder}: expected a folder that `unips estimate` wrote, with its "
             f"{RECORD} and all its files as they were; estimate anew"
         )
-    normals = load_normals(folder)
-    if not np.isfinite(normals).all() or not normals.any():
-        raise InputError(
-            f"{folder / 'normals.npy'}: expected normals, got values that are not "
-            "finite or none but 0; estimate anew"
-        )
+    normals = read_normal_map(folder).normals
     size = normals.shape[:2]
     surface = record.get("surface") or {}
     depth = None

@@ -1,0 +1,366 @@
+"""A doctor for normal maps: what is certain is mended, what is likely is reported.
+
+Maps by others come on backgrounds of any colour, with alpha, in other ranges
+(`io.normal_values`), with axes the other way. Each shows in the numbers:
+
+- a normal has length 1 and faces the viewer; a background has not, or is transparent;
+- a surface's slopes, p to the right and q upwards, obey dp/dy = dq/dx. The correlation
+  of the two is +0.44 to +0.79 on maps by others, the negative where one axis is the
+  other way, and near 0 on surfaces made of steps or leaves: then nothing is said;
+- along an outline normals point outwards, unless what they show is hollow.
+"""
+
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import scipy.ndimage
+
+from unips_jax.errors import InputError
+from unips_jax.io.images import read_image_file
+from unips_jax.io.naming import VIDEO_SUFFIXES
+from unips_jax.io.normal_values import (
+    LEAST,
+    OVERRULE,
+    UNIT,
+    decode_values,
+    foreground,
+)
+from unips_jax.io.normals import (
+    NormalMap,
+    decode_normals,
+    read_numbers,
+    turn_normals,
+)
+from unips_jax.io.record import print_line
+
+_OFF = 0.25  # of a length: JPEG and resizing leave less in most pixels
+_AWAY = -0.35  # z: wide lenses see what faces away by as much
+_STEEP = 0.2  # z: slopes above 5 tell little
+_SURE = 0.2  # correlation that decides
+_CUT = 35.0  # degrees between a flat background and what lies on it
+
+# What a convention is where green, or red, is the other way.
+_OTHERS: dict[NormalMap, tuple[NormalMap, ...]] = {
+    "opengl": ("directx", "x-left"),
+    "directx": ("opengl",),
+    "opencv": ("opengl",),
+    "x-left": ("opengl",),
+}
+
+
+class Examined(NamedTuple):
+    """A normal map, read.
+
+    Attributes:
+        normals: `[H, W, 3]`, float32, x right, y up, z towards the viewer, of unit
+            length, 0 where there is no surface.
+        mended: what was certain, a line each.
+        doubts: what is likely, a line each, with the option that settles it.
+        integrability: the correlation of dp/dy and dq/dx, 0 where nothing is known.
+    """
+
+    normals: np.ndarray
+    mended: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    integrability: float = 0.0
+
+
+def read_normal_map(
+    path: Path, convention: NormalMap = "opengl", *, as_stored: bool = False
+) -> Examined:
+    """Reads and examines a normal map, an array, or a folder of results.
+
+    Args:
+        path: an image, a `.npy`, or a folder with `normals.npy`, whose convention is
+            always opengl.
+        convention: of the axes.
+        as_stored: believe the values: nothing is mended or doubted.
+
+    Raises:
+        InputError: if there are none, or no pixel has a normal.
+    """
+    if path.is_dir():
+        path, convention = path / "normals.npy", "opengl"
+    alpha = None
+    if path.suffix.lower() == ".npy":
+        values = read_numbers(path)
+    else:
+        file = read_image_file(path, vectors=True)
+        values, alpha = file.pixels, file.alpha
+    if values.ndim != 3 or values.shape[2] != 3 or 0 in values.shape:
+        raise InputError(
+            f"{path}: expected normals, [H, W, 3], got {values.shape}; "
+            "give a normal map of 3 channels"
+        )
+    if as_stored:
+        image = path.suffix.lower() != ".npy"
+        normals = decode_normals(values) if image else values.astype(np.float32)
+        found = Examined(_unit(turn_normals(normals, convention)))
+    else:
+        found = examine_normals(values, alpha=alpha, convention=convention)
+        if path.suffix.lower() == ".npy" and values.dtype.kind == "u":
+            line = f"the array holds {values.dtype}: read as a picture's (n + 1) / 2"
+            found = found._replace(mended=(line, *found.mended))
+    if not found.normals.any():
+        raise InputError(
+            f"{path}: expected normals, got none: no pixel has one; give another file, "
+            f"or {OVERRULE}"
+        )
+    return found
+
+
+def is_normal_map(path: Path) -> bool:
+    """Whether a path may be a normal map: one picture, or an array, not photographs."""
+    suffix = path.suffix.lower()
+    if not path.is_file() or suffix in VIDEO_SUFFIXES:
+        return False
+    if suffix not in (".tif", ".tiff"):
+        return True
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            tiff.pages.get(1)
+    except Exception:  # no second page, or damaged: reading tells
+        return True
+    return False
+
+
+def print_examined(found: Examined) -> None:
+    """Prints what was mended, and on standard error what is likely wrong."""
+    for text in found.mended:
+        print_line("normals", text)
+    for text in found.doubts:
+        print(f"warning: {text}", file=sys.stderr)
+
+
+def examine_normals(
+    values: np.ndarray,
+    *,
+    alpha: np.ndarray | None = None,
+    convention: NormalMap = "opengl",
+) -> Examined:
+    """Examines the values of a normal map, or of an array of normals.
+
+    Args:
+        values: `[H, W, 3]`, with pixels: uint8 and uint16 hold (n + 1) / 2, other
+            types n; need not be finite.
+        alpha: `[H, W]`, opaque at its type's largest value, or at 1.
+        convention: of the axes.
+    """
+    mended: list[str] = []
+    doubts: list[str] = []
+    if values.dtype not in (np.uint8, np.uint16):
+        values = values.astype(np.float64 if values.dtype.itemsize > 4 else np.float32)
+        most = np.abs(values[np.isfinite(values)]).max(initial=0)
+        values = (values / (most if most > 1e6 else 1)).astype(np.float32)
+    there = np.isfinite(values).all(-1)
+    if not there.all():
+        mended.append(f"{_count(~there)} are not finite: no surface there")
+    if alpha is not None:
+        there &= _opaque(alpha, mended, doubts)
+    normals = turn_normals(decode_values(values, there, mended), convention)
+    there = _surface(normals, values.dtype.kind == "u", mended, doubts)
+    normals = _unit(np.where(there[..., None], normals, 0))
+    if there.any() and (normals[..., 2][there] < 0).mean() > 0.95:
+        normals = normals * np.float32(_facing(normals, mended))
+    found = integrability(normals)
+    if found < -_SURE:
+        doubts.append(_other_axes(normals, found, convention))
+    plane = _plane_around(normals)
+    if plane is not None:
+        doubts.append(
+            f"{_count(plane)} around the object are one plane: it counts as surface; "
+            "--mask FILE leaves it out"
+        )
+    return Examined(normals, tuple(mended), tuple(doubts), found)
+
+
+def integrability(normals: np.ndarray) -> float:
+    """The correlation of dp/dy and dq/dx: above 0 where normals are a surface's.
+
+    Args:
+        normals: `[H, W, 3]`, x right, y up, z towards the viewer, 0 where none.
+
+    Returns:
+        From -1 to 1; 0 where fewer than 200 squares of 2 x 2 pixels have normals that
+        are not steep.
+    """
+    fine = normals[..., 2] > _STEEP
+    z = np.where(fine, normals[..., 2], 1)
+    p, q = -normals[..., 0] / z, -normals[..., 1] / z
+    whole = fine[:-1, :-1] & fine[:-1, 1:] & fine[1:, :-1] & fine[1:, 1:]
+    if np.count_nonzero(whole) < LEAST:
+        return 0.0
+    up, right = p[:-1] - p[1:], q[:, 1:] - q[:, :-1]  # row 0 is the top, y is up
+    a = _bounded((up[:, :-1] + up[:, 1:])[whole])
+    b = _bounded((right[:-1] + right[1:])[whole])
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / size if size > 1e-9 else 0.0
+
+
+def _bounded(values: np.ndarray) -> np.ndarray:
+    """Values less their mean, jumps cut to the largest usual size."""
+    most = np.quantile(np.abs(values), 0.98) or np.abs(values).max()
+    values = np.clip(values, -most, most).astype(np.float64)
+    return values - values.mean()
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    """Normals of length 1, float32; 0 where they are 0 or not finite."""
+    normals = np.nan_to_num(normals, nan=0.0, posinf=0.0, neginf=0.0)
+    most = np.abs(normals).max(-1, keepdims=True)  # else squares might overflow
+    normals = normals / np.where(most > 1e-6, most, np.inf)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return (normals / np.where(length > 0, length, 1)).astype(np.float32)
+
+
+def _count(pixels: np.ndarray) -> str:
+    return f"{np.count_nonzero(pixels):,} of {pixels.size:,} pixels"
+
+
+def _opaque(alpha: np.ndarray, mended: list[str], doubts: list[str]) -> np.ndarray:
+    top = np.iinfo(alpha.dtype).max if alpha.dtype.kind in "ui" else 1.0
+    share = np.nan_to_num(alpha / top)
+    clear = share < 0.5
+    if not clear.any() or clear.all():
+        return np.ones(alpha.shape, bool)
+    if ((share > 0.02) & (share < 0.98)).mean() > 0.1:
+        doubts.append(
+            "alpha has many values, as heights have: it is not used; --mask FILE "
+            "leaves out what is no surface"
+        )
+        return np.ones(alpha.shape, bool)
+    mended.append(f"{_count(clear)} are transparent: no surface there")
+    return ~clear
+
+
+def _surface(
+    normals: np.ndarray, encoded: bool, mended: list[str], doubts: list[str]
+) -> np.ndarray:
+    """Where lengths are about 1 and normals do not face away: `[H, W]`, bool."""
+    length = np.linalg.norm(normals, axis=-1)
+    some = length > 1e-3
+    seen = foreground(normals, some)
+    off = np.abs(length - 1)
+    background = some & ~seen & (off > UNIT)
+    unit = off < 2 * UNIT
+    share = np.count_nonzero(unit & seen) / max(np.count_nonzero(seen), 1)
+    if share < 0.6:
+        left = np.count_nonzero(some & ~background)
+        if encoded and np.count_nonzero(unit & some & ~background) < 0.15 * left:
+            doubts.append(
+                "few values have a normal's length: is it a normal map? If so, export "
+                "it again, without loss"
+            )
+        usual = np.median(length[some]) if some.any() else 1.0
+        return some & ~background & (np.abs(length / usual - 1) < 0.7)
+    away = normals[..., 2] < _AWAY
+    if (normals[..., 2][seen] < 0).mean() > 0.9:
+        away = normals[..., 2] > -_AWAY
+    far = background | (some & ((length > 1 + _OFF) | away))
+    far = _together(far, some & (length < 1 - _OFF), ~some)
+    if (far & (length > 0.3)).mean() > 0.02:  # a grey background needs no word
+        mended.append(
+            f"{_count(far)} hold no normal (not of unit length, or facing away): no "
+            f"surface there; --mask FILE says where it is, {OVERRULE} takes all"
+        )
+    if np.count_nonzero(away & unit & seen) > 0.05 * np.count_nonzero(seen):
+        doubts.append(
+            f"{_count(away & unit & seen)} hold normals that face away, as in maps in "
+            "an object's own frame: give one in the camera's"
+        )
+    return some & ~far & (length > 0.3)
+
+
+def _together(far: np.ndarray, short: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """What is no surface: `far`, and what is `short` of a normal's length next to it.
+
+    A few such pixels alone are left: edges that resizing made shorter.
+    """
+    labels, count = scipy.ndimage.label(far | short)
+    large = np.bincount(labels.ravel(), minlength=count + 1) >= max(30, 1e-4 * far.size)
+    near = scipy.ndimage.binary_dilation(outside, border_value=1)
+    large[labels[near]] = True
+    with_far = np.zeros(count + 1, bool)
+    with_far[labels[far]] = True
+    return (large & with_far)[labels] & (far | short)
+
+
+def _facing(normals: np.ndarray, mended: list[str]) -> tuple[int, int, int]:
+    """Signs that turn normals, nearly all of which face away, to the viewer."""
+    fits = integrability(normals * np.float32([1, 1, -1]))
+    x, y = _outwards(normals)
+    if max(x, y) < -0.5 and fits > -_SURE:
+        mended.append(
+            "normals point into the surface, away from the viewer: all three axes "
+            f"are turned; {OVERRULE} takes them as they are"
+        )
+        return -1, -1, -1
+    if fits > _SURE or (fits > -_SURE and y > 0.5):
+        mended.append(
+            f"z points away from the viewer: turned; {OVERRULE} takes it as it is"
+        )
+        return 1, 1, -1
+    mended.append(
+        "z points away from the viewer: read as --normal-map opencv, with y down; "
+        f"{OVERRULE} takes it as it is"
+    )
+    return 1, -1, -1
+
+
+def _outwards(normals: np.ndarray) -> tuple[float, float]:
+    """How normals at the outline point outwards in x and in y, from -1 to 1 each."""
+    there = (normals != 0).any(-1)
+    row, column = np.gradient(cv2.GaussianBlur(there.astype(np.float32), (0, 0), 2))
+    edge = there & ~scipy.ndimage.binary_erosion(there, iterations=2, border_value=1)
+    edge &= np.abs(normals[..., 2]) < 0.9
+    if np.count_nonzero(edge) < 40:
+        return 0.0, 0.0
+
+    def agreement(given: np.ndarray, outward: np.ndarray) -> float:
+        size = np.linalg.norm(given) * np.linalg.norm(outward)
+        return float(given @ outward / size) if size > 1e-6 else 0.0
+
+    return (
+        agreement(normals[..., 0][edge], -column[edge]),
+        agreement(normals[..., 1][edge], row[edge]),
+    )
+
+
+def _other_axes(normals: np.ndarray, found: float, convention: NormalMap) -> str:
+    names = list(_OTHERS[convention])
+    x, y = _outwards(normals)
+    if x < -0.3 < 0.3 < y:  # red seems to be the other way
+        names.reverse()
+    advice = " or ".join(f"--normal-map {name}" for name in names)
+    return (
+        f"slopes do not fit together as a surface's do (correlation {found:+.2f}): "
+        f"an axis seems to be the other way; try {advice}"
+    )
+
+
+def _plane_around(normals: np.ndarray) -> np.ndarray | None:
+    """A plane that faces the viewer around an object with an outline: `[H, W]`."""
+    flat = normals[..., 2] > 0.9999
+    edge = np.ones(flat.shape, bool)
+    edge[1:-1, 1:-1] = False
+    if flat[edge].mean() < 0.9:
+        return None
+    labels, count = scipy.ndimage.label(flat)
+    outer = np.zeros(count + 1, bool)
+    outer[labels[edge]] = True
+    outer[0] = False
+    around = outer[labels]
+    thing = (normals != 0).any(-1) & ~flat
+    inner = scipy.ndimage.binary_erosion(thing, iterations=3)
+    rim = scipy.ndimage.binary_dilation(around, iterations=2) & thing
+    if np.count_nonzero(rim) < 40 or around.mean() < 0.05:
+        return None
+    if np.count_nonzero(inner) < 0.4 * np.count_nonzero(thing):
+        return None
+    z = np.clip(np.median(normals[..., 2][rim]), -1, 1)
+    return around if np.degrees(np.arccos(z)) > _CUT else None
