@@ -59,3 +59,17 @@ def write_folder(folder, photographs_folder):
         "warnings": ["<b>bright</b>"],
     }
     write_record(folder, json.loads(json.dumps(record)))
+
+
+def ripples(*, size, length, slope):
+    """A flat result with waves from left to right; no photographs, no depth.
+
+    Args:
+        size: of its sides, in pixels.
+        length: of a wave, in pixels.
+        slope: tangent of the steepest angle.
+    """
+    x = slope * np.sin(2 * np.pi * (np.arange(size) + 0.5) / length)
+    normals = np.stack([x, 0 * x, 0 * x + 1], -1) / np.hypot(x, 1)[:, None]
+    normals = np.broadcast_to(normals, (size, size, 3)).astype(np.float32)
+    return Result("ripples", np.ascontiguousarray(normals))

@@ -13,8 +13,16 @@ import pytest
 
 from unips_jax.cli.view import main as view
 from unips_jax.io.images import write_image
+from unips_jax.io.results import file_hash, read_record
 from unips_jax.viewer.layers import layers_of, view_of
-from unips_jax.viewer.page import BUDGET, page, with_depth
+from unips_jax.viewer.page import (
+    BUDGET,
+    notes_in,
+    page,
+    with_depth,
+    write_tiled_view,
+    write_view,
+)
 from unips_jax.viewer.result import Photograph
 
 ASSETS = Path(__file__).parents[2] / "unips_jax" / "viewer" / "assets"
@@ -190,6 +198,8 @@ def test_base_color_and_expected_error_are_shown(folder, tmp_path):
     [
         ("normals.npy", [], "all its files as they were"),
         (None, ["-o", "page.txt"], "expected a name that ends in .html"),
+        (None, ["--pixel-mm", "0"], "--pixel-mm 0.0: expected a length above 0"),
+        (None, ["--tiles", "-o", "."], "expected a new folder"),
     ],
 )
 def test_bad_input_is_one_line(folder, damage, arguments, message, capsys):
@@ -203,3 +213,69 @@ def test_bad_input_is_one_line(folder, damage, arguments, message, capsys):
 def test_a_flat_result_is_only_integrated_once():
     result = known_results.result()
     assert with_depth(result) is result
+
+
+def test_tiles_are_the_pixels_of_the_result(folder, tmp_path, capsys):
+    """Of a result of 2600 x 2600: two levels, 512 pixels and a border a tile."""
+    size = 2600
+    result = known_results.ripples(size=size, length=7, slope=0.4)
+    image = np.zeros((size, size, 3), np.float32)
+    image[1000:1100, 1500:1600] = [1, 0.5, 0]
+    photograph = Photograph("a.png", lambda: image)
+    result = dataclasses.replace(result, photographs=(photograph,))
+    write_tiled_view(tmp_path / "tiled", result)
+    data = data_of((tmp_path / "tiled" / "index.html").read_text())
+    sizes = [(level["width"], level["height"]) for level in data["tiles"]["levels"]]
+    assert sizes == [(2600, 2600), (1300, 1300)]
+    files = {path.name for path in (tmp_path / "tiled" / "tiles").iterdir()}
+    names = ("normals", "color", "photograph-0")
+    assert {f"{name}-0-4-4.js" for name in names} <= files
+
+    def tile(name):
+        script = (tmp_path / "tiled" / "tiles" / f"{name}.js").read_text()
+        return decoded(re.search(r'"(data:[^"]*)"', script)[1])
+
+    normals = tile("normals-0-0-1")
+    assert normals.shape == (513, 514, 3)  # at the upper edge there is no border
+    expected = result.normals[0:513, 511:1025] * 127.5 + 127.5
+    np.testing.assert_allclose(normals, expected, atol=0.51)
+    spot = tile("photograph-0-0-1-2")  # rows 511 to 1024, columns 1023 to 1536
+    assert spot[1020 - 511, 1520 - 1023, 0] > 240 > 30 > spot[900 - 511, 400, 0]
+
+
+def test_a_page_without_more_pixels_has_no_tiles(folder, tmp_path, capsys):
+    target = tmp_path / "a folder"
+    assert view([str(folder), "--tiles", "-o", str(target), "--flat"]) == 0
+    assert "0 tiles" in capsys.readouterr().out
+    assert data_of((target / "index.html").read_text())["tiles"] is None
+    assert view([str(folder), "--tiles", "-o", str(target), "--flat"]) == 0  # again
+
+
+@pytest.mark.parametrize("focal", [None, 150.0])
+def test_a_pixel_in_millimetres_is_the_unit(focal):
+    """`--pixel-mm` is at the mean distance, where the camera is not orthographic."""
+    result = known_results.result(focal=focal, pixel_mm=0.25)
+    layers = layers_of(result, view_of(result.inside, 1024))
+    assert layers["unit_mm"] == pytest.approx(0.25 * (focal or 1))
+    plain = known_results.result(unit="m", depth=result.depth * 1e-3)
+    layers = layers_of(plain, view_of(plain.inside, 1024))
+    assert layers["unit_mm"] == 1000
+
+
+def test_notes_stay_and_leave_the_results_whole(folder):
+    """A reader's page in a folder of results is not a damaged result."""
+    assert view([str(folder), "--flat"]) == 0
+    page_file = folder / "view.html"
+    record = json.loads((folder / "normals.json").read_text())
+    record["files"]["view.html"] = file_hash(page_file)
+    (folder / "normals.json").write_text(json.dumps(record))
+    notes = {"notes": [{"place": [3, 4], "text": "<!--"}], "views": []}
+    write_view(page_file, known_results.result())
+    html = page(known_results.result(), notes=notes)
+    page_file.write_text(html)
+    assert "<!--" not in html and notes_in(page_file) == notes
+    assert read_record(folder) is not None
+    assert view([str(folder), "--flat"]) == 0
+    assert notes_in(page_file) == notes
+    page_file.write_text("damaged")
+    assert notes_in(page_file) is None and notes_in(folder / "none.html") is None

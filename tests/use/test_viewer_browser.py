@@ -8,11 +8,22 @@ import pytest
 
 pytest.importorskip("selenium", reason="selenium is not installed")
 
-from browser import ABSENT, browser, messages, pixels
+from browser import ABSENT, browser, messages
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.support.ui import Select, WebDriverWait
+from selenium.webdriver.support.ui import WebDriverWait
+from viewer_page import (
+    choose,
+    drawn,
+    element,
+    opened,
+    point,
+    press,
+    sample,
+    slide,
+    value,
+)
 
 from unips_jax.viewer.page import write_view
 
@@ -40,55 +51,6 @@ def page(driver, address):
     assert messages(driver) == []
 
 
-def opened(driver):
-    ready = "return document.body.dataset.ready === 'true'"
-    WebDriverWait(driver, 30).until(lambda d: d.execute_script(ready))
-
-
-def element(page, name):
-    return page.find_element(By.ID, name)
-
-
-def press(page, selector):
-    page.find_element(By.CSS_SELECTOR, selector).click()
-
-
-def choose(page, name, value):
-    Select(element(page, name)).select_by_value(value)
-
-
-def drawn(page):
-    """The stage's pixels, after what was asked for is drawn."""
-    wait = "requestAnimationFrame(() => requestAnimationFrame(arguments[0]))"
-    page.execute_async_script(wait)
-    return pixels(element(page, "stage")).astype(int)
-
-
-def point(page, x, y):
-    """The pointer at a place from the stage's middle, in units of the hemisphere."""
-    return ActionChains(page).move_to_element_with_offset(
-        element(page, "stage"), round(x * radius(page)), round(-y * radius(page))
-    )
-
-
-def radius(page):
-    """Of the hemisphere, in pixels of the screen."""
-    size = element(page, "stage").size
-    shown = 2 * 35.5 + 2 + 2 * int(2 + 0.03 * 71)
-    return 0.96 * min(size["width"], size["height"]) / shown * known_results.RADIUS
-
-
-def sample(page, picture, x, y):
-    """Mean colour of a few pixels around a place, in units of the hemisphere."""
-    row = round(picture.shape[0] / 2 - y * radius(page))
-    column = round(picture.shape[1] / 2 + x * radius(page))
-    return picture[row - 3 : row + 4, column - 3 : column + 4].mean((0, 1))
-
-
-def value(page, name):
-    return float(element(page, name).get_attribute("value"))
-
-
 def test_it_opens_from_disk_and_asks_for_nothing(page):
     asked = page.execute_script(
         "return performance.getEntriesByType('resource').map((e) => e.name)"
@@ -107,10 +69,7 @@ def test_the_light_follows_the_pointer(page, x, y):
     angle = np.rad2deg(np.arctan2(y, x))
     assert abs((value(page, "azimuth") - angle + 180) % 360 - 180) < 3
     # A Lambertian sphere: (0.04 + 0.96 n . l) of an albedo of 0.75, as sRGB.
-    page.execute_script(
-        "const g = document.getElementById('gloss'); g.value = 0;"
-        "g.dispatchEvent(new Event('input'))"
-    )
+    slide(page, "gloss", 0)
     normal = np.array([x / 2, y / 2, (1 - (x / 2) ** 2 - (y / 2) ** 2) ** 0.5])
     a, e = np.deg2rad([value(page, "azimuth"), value(page, "elevation")])
     light = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])

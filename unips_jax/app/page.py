@@ -255,7 +255,8 @@ class Page:
                         link.props(f"download={name}")
         ui.html(
             f'<iframe class="viewer" title="{html.escape(job.name)}" '
-            f'sandbox="allow-scripts" src="{address}/view.html"></iframe>',
+            'sandbox="allow-scripts allow-downloads" '
+            f'src="{address}/view.html"></iframe>',
             sanitize=False,
         ).classes("w-full")
 

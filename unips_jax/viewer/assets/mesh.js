@@ -85,12 +85,12 @@ function centre(geometry, depths) {
   geometry.userData = { radius: Math.sqrt(squared) || 1, middle };
 }
 
-const [LEAST_TURN, MOST_TURN] = [35, 75].map((degrees) => (degrees * Math.PI) / 180);
+const [LEAST_TURN, MOST_TURN] = [35, 60].map((degrees) => (degrees * Math.PI) / 180);
 
 /** How far the surface may turn from the viewer, as an angle: not so far that it is seen
  * from behind. Where the surface sinks towards its edge at a slope, as a bowl does within
  * its rim, its back comes into sight beyond 90 degrees less the slope. The steepest 5% of
- * the edge may show theirs. */
+ * the edge may show theirs. Beyond 60 degrees a view is more guessed than seen. */
 function turnLimit(position, depths, columns, rows) {
   const height = (k) => position[3 * k + 2];
   const angles = [];

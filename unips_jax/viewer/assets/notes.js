@@ -92,7 +92,10 @@ class Notes {
       const [x, y] = screen;
       const shown = text.length > MOST_LETTERS ? `${text.slice(0, MOST_LETTERS - 1)}…` : text;
       const pin = `M${x} ${y}L${x - 6} ${y - 14}A7 7 0 1 1 ${x + 6} ${y - 14}Z`;
-      return [...marked("path", { d: pin }), label(x + 12, y - 12, `${index + 1}  ${shown}`)];
+      const left = x > 0.6 * this.stage.size[0]; // where there is more room
+      const words = label(x + (left ? -12 : 12), y - 12, `${index + 1}  ${shown}`);
+      if (left) words.setAttribute("text-anchor", "end");
+      return [...marked("path", { d: pin }), words];
     });
   }
 }
