@@ -12,11 +12,12 @@ from unips_jax.baselines.method import Estimated, Observed, Unsupported
 from unips_jax.cli import evaluate as evaluation
 from unips_jax.evaluation import methods, protocols, publish, runner, summary
 from unips_jax.evaluation.benchmarks import open_benchmark
-from unips_jax.evaluation.methods import Variant
+from unips_jax.evaluation.plan import Plan, check_data, tasks_of
 from unips_jax.evaluation.protocols import Protocol
 from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.tables import files_of
+from unips_jax.evaluation.variants import Variant
 
 # The runner
 
@@ -42,18 +43,18 @@ class Recorder:
 
 def plan_of(root, *recorders, counts=(None,), protocol=None):
     benchmark = open_benchmark("ps-wild", root)
-    return runner.Plan(
+    return Plan(
         benchmark,
         [recorder.variant for recorder in recorders],
         protocol or Protocol("native"),
         counts,
         (0,),
-        list(runner.check_data(benchmark)),
+        list(check_data(benchmark)),
     )
 
 
 def results_of(plan, store):
-    tasks = runner.tasks_of(plan)
+    tasks = tasks_of(plan)
     assert len(list(runner.execute(plan, tasks, store))) == len(tasks)
     return Results(
         plan.benchmark.name,

@@ -25,6 +25,7 @@ from unips_jax.console import (
     track,
 )
 from unips_jax.errors import InputError
+from unips_jax.evaluation import plan as planning
 from unips_jax.evaluation import publish, runner, summary
 from unips_jax.evaluation.benchmarks import BENCHMARKS, Benchmark, open_benchmark
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
@@ -59,6 +60,8 @@ class Options:
         uniform_contexts: also with contexts that are uniform over space (the paper's
             Table 5).
         no_pictures: tables only, no sheets and no report.
+        write_inputs: write photographs and masks as methods are given them to
+            OUT/inputs, for programs that cannot be called from here, and end.
         where: where objects are worked on.
     """
 
@@ -70,7 +73,9 @@ class Options:
         tyro.conf.arg(
             aliases=["-m"],
             metavar="NAME [NAME ...]",
-            help_behavior_hint=f"Names: {', '.join(NAMES)}. (default: unips)",
+            help_behavior_hint=f"Names: {', '.join(NAMES)}, classical; files:DIR, "
+            "normals that another program made; python:package.module:factory, your "
+            "own. (default: unips)",
         ),
     ] = ("unips",)
     weights: _Several[str] = ()
@@ -86,6 +91,7 @@ class Options:
     canonical_size: _Several[int] = ()
     uniform_contexts: bool = False
     no_pictures: bool = False
+    write_inputs: bool = False
     where: Annotated[RayOptions, tyro.conf.arg(name="")] = RayOptions()
 
 
@@ -93,14 +99,22 @@ class Options:
 def main(argv: Sequence[str] | None = None) -> None:
     """`unips eval`."""
     options = parse(Options, argv, prog="unips eval", description=__doc__)
-    plan, store = _plan(options), Store(options.workdir)
+    plan = _plan(options)
+    if options.write_inputs:
+        folder = options.workdir / "inputs"
+        objects = publish.write_inputs(plan, folder)
+        for _ in track(objects, "writing", total=len(plan.benchmark)):
+            pass
+        return print(f"wrote {folder}")
+    planning.check_normal_files(plan)
+    store = Store(options.workdir)
     if options.where.ray:
         _spread(plan, store, options)
     typed = shlex.join(["unips", "eval", *(sys.argv[1:] if argv is None else argv)])
     _evaluate(plan, store, typed, pictures=not options.no_pictures)
 
 
-def _plan(options: Options) -> runner.Plan:
+def _plan(options: Options) -> planning.Plan:
     workdir = options.workdir
     _check_options(options)
     benchmark = open_benchmark(options.benchmark, options.root, objects=options.objects)
@@ -117,16 +131,16 @@ def _plan(options: Options) -> runner.Plan:
     if benchmark.name == "diligent102" and protocol.name != "native":
         raise InputError("diligent102: submissions need --protocol native")
     counts = [None if n == "all" else n for n in dict.fromkeys(options.num_images)]
-    runner.check_counts(benchmark, counts)
+    planning.check_counts(benchmark, counts)
     start_jax()
     unips = UnipsOptions(
         options.weights or ("tiny",), options.canonical_size, options.uniform_contexts
     )
     variants = load_variants(options.method, unips)
     fingerprints = list(
-        track(runner.check_data(benchmark), "checking data", total=len(benchmark))
+        track(planning.check_data(benchmark), "checking data", total=len(benchmark))
     )
-    return runner.Plan(
+    return planning.Plan(
         benchmark,
         variants,
         protocol,
@@ -136,9 +150,9 @@ def _plan(options: Options) -> runner.Plan:
     )
 
 
-def _spread(plan: runner.Plan, store: Store, options: Options) -> None:
+def _spread(plan: planning.Plan, store: Store, options: Options) -> None:
     """Works on objects anywhere in a cluster; what is done is found in the store."""
-    left = [task for task in runner.tasks_of(plan) if not store.done(task.name)]
+    left = [task for task in planning.tasks_of(plan) if not store.done(task.name)]
     entries = dict.fromkeys(plan.benchmark.entries[task.index].name for task in left)
     pieces = [
         (name, dataclasses.replace(options, objects=(name,), where=RayOptions()))
@@ -156,7 +170,7 @@ def _spread(plan: runner.Plan, store: Store, options: Options) -> None:
 def _evaluate_one(options: Options) -> None:
     """The tasks of one object."""
     plan = _plan(options)
-    for _ in runner.execute(plan, runner.tasks_of(plan), Store(options.workdir)):
+    for _ in runner.execute(plan, planning.tasks_of(plan), Store(options.workdir)):
         pass
 
 
@@ -185,8 +199,8 @@ def _check_workdir(workdir: Path, benchmark: Benchmark) -> None:
         raise InputError(f"--workdir {workdir} is not a folder")
 
 
-def _evaluate(plan: runner.Plan, store: Store, typed: str, *, pictures: bool) -> None:
-    tasks = runner.tasks_of(plan)
+def _evaluate(plan: planning.Plan, store: Store, typed: str, *, pictures: bool) -> None:
+    tasks = planning.tasks_of(plan)
     left = [task for task in tasks if not store.done(task.name)]
     for _ in track(runner.execute(plan, left, store), "evaluating", total=len(left)):
         pass
@@ -207,6 +221,8 @@ def _evaluate(plan: runner.Plan, store: Store, typed: str, *, pictures: bool) ->
         exhibits = list(track(drawn, "drawing", total=len(plan.benchmark)))
         header = publish.header_of(plan, typed)
         written.append(publish.write_report(store, header, results, tables, exhibits))
+    for label, turned in summary.turned_axes(results).items():
+        print(f"warning: {label}: {turned.remark}", file=sys.stderr)
     table = tables[0]
     print_table(table.title, table.names, table.shown)
     for path in written:

@@ -129,24 +129,60 @@ def show(
         shape = (len(chosen), *item.images.shape[1:])
         images = _filled(shape, (_unit_range(item.images[i]) for i in chosen))
         return Case(Observed(images, item.mask, lights, item.focal), item.normals)
-    box = square_box(item.mask)
-    weight = _resize(_cut(item.mask, box).astype(np.float32), protocol.size)
-    mask = weight >= min(0.5, weight.max())
-    divisor = np.where(mask, weight, 1)[..., None]
-
-    def crop(image: np.ndarray) -> np.ndarray:
-        part = _cut(image * item.mask[..., None], box)
-        return np.where(mask[..., None], _resize(part, protocol.size) / divisor, 0)
-
+    crop = _Crop.around(item.mask, protocol.size)
     focal = item.focal
     if focal is not None:
-        focal *= protocol.size / box.side
+        focal *= protocol.size / crop.box.side
     elif crop_focal_ratio is not None:
         focal = crop_focal_ratio * protocol.size
-    shape = (len(chosen), *mask.shape, item.images.shape[-1])
-    images = _filled(shape, (crop(_unit_range(item.images[i])) for i in chosen))
-    normals = None if item.normals is None else _unit_length(crop(item.normals))
-    return Case(Observed(images, mask, lights, focal), normals)
+    shape = (len(chosen), *crop.shown.shape, item.images.shape[-1])
+    images = _filled(shape, (crop.of(_unit_range(item.images[i])) for i in chosen))
+    normals = None if item.normals is None else _unit_length(crop.of(item.normals))
+    return Case(Observed(images, crop.shown, lights, focal), normals)
+
+
+def shown_mask(mask: np.ndarray, protocol: Protocol) -> np.ndarray:
+    """The mask that methods are given, of the mask as published."""
+    if protocol.name == "native":
+        return mask
+    return _Crop.around(mask, protocol.size).shown
+
+
+def shown_normals(
+    normals: np.ndarray, mask: np.ndarray, protocol: Protocol
+) -> np.ndarray:
+    """Normals of the photographs' size, brought to what methods are given."""
+    if protocol.name == "native":
+        return normals
+    return _unit_length(_Crop.around(mask, protocol.size).of(normals))
+
+
+class _Crop(NamedTuple):
+    """The square around an object, brought to one size.
+
+    Attributes:
+        box: the square.
+        mask: the object's pixels before.
+        shown: those after.
+        weight: how much of each pixel after is the object's.
+    """
+
+    box: Box
+    mask: np.ndarray
+    shown: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def around(cls, mask: np.ndarray, size: int) -> "_Crop":
+        box = square_box(mask)
+        weight = _resize(_cut(mask, box).astype(np.float32), size)
+        return cls(box, mask, weight >= min(0.5, weight.max()), weight)
+
+    def of(self, image: np.ndarray) -> np.ndarray:
+        """An image `[H, W, C]` in the square: averages over the object's pixels."""
+        part = _resize(_cut(image * self.mask[..., None], self.box), len(self.shown))
+        inside = self.shown[..., None]
+        return np.where(inside, part / np.where(inside, self.weight[..., None], 1), 0)
 
 
 def _filled(shape: tuple[int, ...], images: Iterable[np.ndarray]) -> np.ndarray:

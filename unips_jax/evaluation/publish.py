@@ -5,17 +5,22 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from unips_jax.baselines.method import Observed
 from unips_jax.evaluation.benchmarks import submission_bytes
 from unips_jax.evaluation.cells import Table
+from unips_jax.evaluation.plan import Plan, subsets_of
 from unips_jax.evaluation.protocols import choose_images, show
 from unips_jax.evaluation.report import Exhibit, Header, exhibit, report
 from unips_jax.evaluation.results import Results
-from unips_jax.evaluation.runner import Plan, Result
+from unips_jax.evaluation.runner import Result
 from unips_jax.evaluation.sheets import Panel, sheet
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.summary import TABLES
 from unips_jax.evaluation.tables import files_of
 from unips_jax.io.claims import slug, write_whole
+from unips_jax.io.images import encode_image
 from unips_jax.provenance import code_hash
 from unips_jax.version import __version__
 
@@ -110,6 +115,41 @@ def write_report(
     with store.claim("publish", wait=True):
         write_whole(path, report(header, results, tables, exhibits))
     return path
+
+
+def write_inputs(plan: Plan, folder: Path) -> Iterator[Path]:
+    """Writes what methods are given, for programs that cannot be called from here.
+
+    `OBJECT.data/L_001.png` and so on, linear 16-bit photographs; `mask.png`; where the
+    lights are known, `light_directions.txt` and `light_intensities.txt`, a line `x y z`
+    or `R G B` per photograph. Where the run has several subsets of images, a folder for
+    each.
+
+    Yields:
+        Each object's folder.
+    """
+    for index, entry in enumerate(plan.benchmark.entries):
+        item = plan.benchmark[index]
+        for subset, chosen in subsets_of(plan, index):
+            ratio = plan.benchmark.crop_focal_ratio
+            case = show(item, plan.protocol, chosen, crop_focal_ratio=ratio)
+            place = folder if subset.alone else folder / subset.folder
+            place /= f"{entry.name.replace('/', '_')}.data"
+            _write_observed(place, case.observed)
+        yield place
+
+
+def _write_observed(place: Path, observed: Observed) -> None:
+    top = max(1.0, float(observed.images.max()))
+    for i, image in enumerate(observed.images):
+        pixels = np.rint(np.clip(image / top, 0, 1) * 65535).astype(np.uint16)
+        write_whole(place / f"L_{i + 1:03d}.png", encode_image(".png", pixels))
+    mask = np.where(observed.mask, 255, 0).astype(np.uint8)
+    write_whole(place / "mask.png", encode_image(".png", mask))
+    if observed.lights:
+        for name, table in observed.lights._asdict().items():
+            text = "".join(" ".join(f"{x:.7g}" for x in row) + "\n" for row in table)
+            write_whole(place / f"light_{name}.txt", text.encode())
 
 
 def write_submissions(store: Store, results: Results) -> Path:

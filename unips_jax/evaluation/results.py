@@ -99,6 +99,10 @@ def _mean(results: Sequence[Result]) -> Result:
     names = set.intersection(*(set(result.measures) for result in results))
     return dataclasses.replace(
         results[0],
+        turned={
+            name: sum(result.turned.get(name, 180) for result in results) / len(results)
+            for name in results[0].turned
+        },
         seed=None,
         score=mean_score(scores) if every else None,
         measures={

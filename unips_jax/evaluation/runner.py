@@ -1,75 +1,27 @@
 """Runs every method on every object, once.
 
-A task is a method, an object and a number of images. Its result's key holds the
-method with options, the hash of its weights, the protocol, the images chosen, the
-object's data, this program's version and the source of what computed it, so a result
-of anything else is never taken for it. The order of work is that of the tables;
-processes that share a work folder pass over each other's tasks and wait for them at
-the end.
+The order of work is that of the tables; processes that share a work folder pass over
+each other's tasks and wait for them at the end.
 """
 
 import dataclasses
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from unips_jax.baselines.method import Estimated, Unsupported
-from unips_jax.errors import InputError
-from unips_jax.evaluation.benchmarks import Benchmark, Item
-from unips_jax.evaluation.methods import Variant
-from unips_jax.evaluation.protocols import Case, Protocol, choose_images, show
+from unips_jax.evaluation.axes import errors_if_turned
+from unips_jax.evaluation.benchmarks import Item
+from unips_jax.evaluation.plan import Plan, Task, subsets_of
+from unips_jax.evaluation.protocols import Case, show, shown_normals
 from unips_jax.evaluation.scores import Score, best_signs, from_json, score
-from unips_jax.evaluation.store import Store, result_key
-from unips_jax.io.claims import slug
-from unips_jax.provenance import code_hash
-from unips_jax.version import __version__
+from unips_jax.evaluation.store import Store
+from unips_jax.evaluation.variants import Variant
 
 _POLL_S = 0.2
-_CODE = ("evaluation.benchmarks", "evaluation.protocols", "evaluation.scores")
-
-
-class Plan(NamedTuple):
-    """What is to be evaluated.
-
-    Attributes:
-        benchmark: the data.
-        variants: the methods.
-        protocol: how objects are shown.
-        counts: numbers of images; None stands for all.
-        seeds: of the subsets; each draws its own.
-        fingerprints: of each entry's data.
-    """
-
-    benchmark: Benchmark
-    variants: Sequence[Variant]
-    protocol: Protocol
-    counts: Sequence[int | None]
-    seeds: Sequence[int]
-    fingerprints: Sequence[str]
-
-
-@dataclasses.dataclass(frozen=True)
-class Task:
-    """A method, an object and a choice of images.
-
-    Attributes:
-        index: the entry's.
-        variant: the method.
-        count: number of images; None for all.
-        seed: of the subset; None where all images are used.
-        name: of the result in the store.
-        fields: what the result depends on.
-    """
-
-    index: int
-    variant: Variant
-    count: int | None
-    seed: int | None
-    name: str
-    fields: dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,6 +40,7 @@ class Result:
         unsupported: why the method could not run, empty where it did.
         name: of the result in the store.
         seed: of the subset; None where all images are used.
+        turned: of methods that are not ours: mean errors with their axes turned.
     """
 
     entry: str
@@ -101,81 +54,12 @@ class Result:
     unsupported: str
     name: str
     seed: int | None = None
+    turned: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def reason(self) -> str:
         """Why the method could not run, without the method's name before it."""
         return re.sub(r"^\w+: ", "", self.unsupported)
-
-
-def check_data(benchmark: Benchmark) -> Iterator[str]:
-    """Reads every object's files through.
-
-    Yields:
-        Each entry's fingerprint.
-
-    Raises:
-        InputError: at the first file that cannot be used.
-    """
-    for index in range(len(benchmark)):
-        yield benchmark.check(index)
-
-
-def check_counts(benchmark: Benchmark, counts: Sequence[int | None]) -> None:
-    """Checks that every object has as many images as are asked for.
-
-    Raises:
-        InputError: naming the object that has fewer.
-    """
-    for count in counts:
-        if count is None:
-            continue
-        if count < 1:
-            raise InputError(f"--num-images: expected 1 or more, got {count}")
-        for entry in benchmark.entries:
-            if len(entry.images) < count:
-                raise InputError(
-                    f"--num-images {count}: {entry.name} has {len(entry.images)} images"
-                )
-
-
-def tasks_of(plan: Plan) -> list[Task]:
-    """All tasks, object by object."""
-    code = code_hash(*_CODE)
-    tasks = []
-    for index, entry in enumerate(plan.benchmark.entries):
-        shared = {
-            "benchmark": plan.benchmark.name,
-            "entry": entry.name,
-            "data": plan.fingerprints[index],
-            "protocol": plan.protocol.label,
-            "crop_focal_ratio": plan.benchmark.crop_focal_ratio,
-            "version": __version__,
-            "code": code,
-        }
-        for count, seed in _choices(plan, index):
-            images = _chosen(plan, index, count, seed).tolist()
-            for variant in plan.variants:
-                fields = {**variant.key, **shared, "images": images}
-                number = "all" if count is None else str(count)
-                label = f"{slug(variant.label)}-{number}-{result_key(fields)}"
-                folders = slug(plan.benchmark.name), slug(entry.name)
-                name = "/".join((*folders, label))
-                tasks.append(Task(index, variant, count, seed, name, fields))
-    return tasks
-
-
-def _choices(plan: Plan, index: int) -> Iterator[tuple[int | None, int | None]]:
-    """Numbers of images and seeds; where all are used there is nothing to draw."""
-    total = len(plan.benchmark.entries[index].images)
-    for count in plan.counts:
-        for seed in [None] if count in (None, total) else plan.seeds:
-            yield count, seed
-
-
-def _chosen(plan: Plan, index: int, count: int | None, seed: int | None) -> np.ndarray:
-    total = len(plan.benchmark.entries[index].images)
-    return choose_images(total if count is None else count, total, seed=seed or 0)
 
 
 def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
@@ -212,12 +96,7 @@ class _Shown:
     case: Case
 
     def serves(self, task: Task) -> bool:
-        ours = self.task
-        return (ours.index, ours.count, ours.seed) == (
-            task.index,
-            task.count,
-            task.seed,
-        )
+        return (self.task.index, self.task.subset) == (task.index, task.subset)
 
 
 def _show(plan: Plan, task: Task, last: _Shown | None) -> _Shown:
@@ -229,28 +108,43 @@ def _show(plan: Plan, task: Task, last: _Shown | None) -> _Shown:
     case = show(
         item,
         plan.protocol,
-        _chosen(plan, task.index, task.count, task.seed),
+        _images(plan, task),
         crop_focal_ratio=plan.benchmark.crop_focal_ratio,
     )
     return _Shown(task, item, case)
 
 
+def _images(plan: Plan, task: Task) -> np.ndarray:
+    """Places of the task's images."""
+    subsets = subsets_of(plan, task.index)
+    return next(chosen for subset, chosen in subsets if subset == task.subset)
+
+
 def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
     item, case = shown.item, shown.case
     mask = case.observed.mask
-    chosen = _chosen(plan, task.index, task.count, task.seed)
+    photographs = plan.benchmark.entries[task.index].images
     record: dict[str, Any] = {
         "fields": task.fields,
         "entry": item.name,
         "tags": dict(item.tags),
         "notes": list(item.notes),
-        "images": [plan.benchmark.entries[task.index].images[i].name for i in chosen],
+        "images": [photographs[i].name for i in _images(plan, task)],
         "score": None,
         "measures": {},
         "unsupported": "",
     }
+    variant = task.variant
+    if variant.files:
+
+        def crop(normals: np.ndarray) -> np.ndarray:
+            return shown_normals(normals, item.mask, plan.protocol)
+
+        variant = variant._replace(
+            run=variant.files.method(item.name, task.subset, crop)
+        )
     try:
-        normals, measures = estimate(task.variant, case)
+        normals, measures = estimate(variant, case)
     except Unsupported as error:
         record["unsupported"] = " ".join(str(error).split())
         store.commit(task.name, record, None)
@@ -258,6 +152,8 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
     record["measures"] = dict(measures)
     if case.normals is not None:
         record["score"] = score(normals, case.normals, mask)._asdict()
+        if variant.foreign and not variant.oracle:
+            record["turned"] = errors_if_turned(normals, case.normals, mask)
     store.commit(task.name, record, np.where(mask[..., None], normals, 0))
 
 
@@ -298,13 +194,14 @@ def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
                 record["tags"],
                 record["notes"],
                 task.variant.label,
-                task.count,
+                task.subset.count,
                 len(record["images"]),
                 None if record["score"] is None else from_json(record["score"]),
                 record["measures"],
                 record["unsupported"],
                 task.name,
-                task.seed,
+                task.subset.seed,
+                record.get("turned", {}),
             )
         )
     return results

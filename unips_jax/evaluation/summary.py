@@ -1,5 +1,6 @@
 """From results to tables. Nothing here depends on when or where they were computed."""
 
+from unips_jax.evaluation.axes import Turned, find_turned
 from unips_jax.evaluation.cells import (
     Cell,
     Column,
@@ -303,6 +304,8 @@ def _remarks(results: Results) -> Table:
         for entry in results.entries
         for note in entry.notes
     ]
+    for label, turned in turned_axes(results).items():
+        rows.append(_remark("all", label, turned.remark))
     refused: dict[tuple[str, str], list[str]] = {}
     for label in results.labels:
         for result in results.of(label, results.main_count):
@@ -317,6 +320,17 @@ def _remarks(results: Results) -> Table:
         rows.append(_remark(which, label, reason))
     head = columns(["Object", "Method", "Remark"])
     return Table("remarks", "Remarks", head, rows)
+
+
+def turned_axes(results: Results) -> dict[str, Turned]:
+    """Methods that are not ours and whose axes seem turned."""
+    found: dict[str, Turned] = {}
+    for label in results.labels:
+        own = results.of(label, results.main_count)
+        pairs = [(r.score.mae, r.turned) for r in own if r.score and r.turned]
+        if turned := find_turned(pairs):
+            found[label] = turned
+    return found
 
 
 def _remark(which: str, label: str, text: str) -> Row:

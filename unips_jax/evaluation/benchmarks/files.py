@@ -14,6 +14,8 @@ import numpy as np
 
 from unips_jax.errors import InputError
 
+_NORMAL_NAMES = ("Normal_est", "normals", "normal", "Normal", "N")
+
 
 def natural_key(name: str) -> tuple[Any, ...]:
     """Sorts `2.png` before `10.png`."""
@@ -105,9 +107,39 @@ def read_mat(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     Raises:
         InputError: if the file is damaged or lacks one of them.
     """
+    require_file(path, f"a MATLAB file with {', '.join(keys)}")
+    content = _variables(path)
+    missing = [key for key in keys if key not in content]
+    if missing:
+        found = sorted(content)
+        raise InputError(f"{path}: no variable {missing[0]!r}, found {found}")
+    return {key: content[key] for key in keys}
+
+
+def read_mat_normals(path: Path) -> np.ndarray:
+    """Normals `[H, W, 3]` of a MATLAB file, as stored, float32.
+
+    Raises:
+        InputError: if it has no variable of that shape, or several and none of the
+            usual names.
+    """
+    content = {
+        key: value
+        for key, value in _variables(path).items()
+        if isinstance(value, np.ndarray) and value.ndim == 3 and value.shape[2] == 3
+    }
+    named = [key for key in _NORMAL_NAMES if key in content] or list(content)
+    if not named or (len(named) > 1 and named[0] not in _NORMAL_NAMES):
+        raise InputError(
+            f"{path}: expected one variable [H, W, 3], or one named Normal_est, found "
+            f"{sorted(content)}"
+        )
+    return content[named[0]].astype(np.float32)
+
+
+def _variables(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
-    require_file(path, f"a MATLAB file with {', '.join(keys)}")
     if read_bytes(path).startswith(b"MATLAB 7.3"):
         raise InputError(f"{path}: saved by MATLAB as -v7.3; save it again with -v7")
     try:
@@ -116,11 +148,7 @@ def read_mat(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise InputError(
             f"{path}: not a readable MATLAB file ({type(error).__name__}: {error})"
         ) from error
-    missing = [key for key in keys if key not in content]
-    if missing:
-        found = sorted(key for key in content if not key.startswith("__"))
-        raise InputError(f"{path}: no variable {missing[0]!r}, found {found}")
-    return {key: content[key] for key in keys}
+    return {key: v for key, v in content.items() if not key.startswith("__")}
 
 
 def read_npz(path: Path, key: str) -> np.ndarray:

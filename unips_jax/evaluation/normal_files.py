@@ -1,0 +1,283 @@
+"""Normals that another program made, from a folder: `files:DIR,option=value,...`.
+
+An object's normals are looked for as `DIR/NAME.*`, in `DIR/NAME/`, `DIR/NAME.data/` and
+`DIR/NAMEPNG/` (a file with `normal` or `nml` in its name), NAME being the object's in
+the tables, with `_` in place of `/`; or where `file=` says, as in
+`file=results/{object}.data/normal.png`. Where a run has several subsets of images, DIR
+holds a folder for each, named as in `OUT/inputs`: `8-seed-0`, `all`.
+
+They are `.npy` or `.mat` arrays `[H, W, 3]`, float EXR or TIFF images, all holding n,
+or PNG or TIFF images of integers holding (n + 1) / 2: x right, y up, z towards the
+viewer, unit length. `x=left`, `y=down`, `z=away` and `channels=bgr` say what is
+otherwise. Their size is that of the photographs, or what the protocol showed.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal, NoReturn
+
+import numpy as np
+
+from unips_jax.baselines.method import Observed, Unsupported
+from unips_jax.errors import InputError
+from unips_jax.evaluation.benchmarks import files
+from unips_jax.evaluation.variants import (
+    Variant,
+    bytes_hash,
+    check_types,
+    described,
+    label_of,
+    parse_options,
+    take_oracle,
+)
+from unips_jax.io.normals import read_array, read_normals
+from unips_jax.provenance import code_hash
+
+# Those that lose least come first.
+_SUFFIXES = (".npy", ".mat", ".exr", ".tif", ".tiff", ".png")
+_WORDS = ("normal", "nml")
+_NO_NORMALS = ("gt", "error", "mask")
+_LENGTHS = (0.9, 1.1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Subset:
+    """Which images a result is of.
+
+    Attributes:
+        count: how many; None for all.
+        seed: of the draw; None where all are used.
+        alone: whether the run has no other subset.
+    """
+
+    count: int | None
+    seed: int | None
+    alone: bool
+
+    @property
+    def folder(self) -> str:
+        """Its folder's name."""
+        return "all" if self.seed is None else f"{self.count}-seed-{self.seed}"
+
+
+@dataclasses.dataclass(frozen=True)
+class NormalFiles:
+    """A folder of normals.
+
+    Attributes:
+        folder: where they are.
+        signs: of x, y and z, by which they become ours.
+        order: of the channels.
+        file: where an object's file is in the folder, with `{object}`; empty: see the
+            module.
+    """
+
+    folder: Path
+    signs: tuple[int, int, int] = (1, 1, 1)
+    order: tuple[int, int, int] = (0, 1, 2)
+    file: str = ""
+
+    def find(self, name: str, subset: Subset) -> Path | None:
+        """An object's file; None where there is none.
+
+        Raises:
+            InputError: if there are several that could be meant.
+        """
+        bases = [self.folder / subset.folder, *([self.folder] if subset.alone else [])]
+        for base in bases:
+            if self.file:
+                path = base / self.file.replace("{object}", name.replace("/", "_"))
+                if path.is_file():
+                    return path
+                continue
+            for spelled in dict.fromkeys([name, name.replace("/", "_")]):
+                found = _best(base / spelled, _named(base, spelled))
+                if found is not None:
+                    return found
+        return None
+
+    def hash_of(self, name: str, subset: Subset) -> str:
+        """A hash of an object's file; empty where there is none."""
+        path = self.find(name, subset)
+        return "" if path is None else bytes_hash(files.read_bytes(path))
+
+    def read(self, path: Path, masks: list[np.ndarray]) -> np.ndarray:
+        """Reads a file.
+
+        Args:
+            path: the file.
+            masks: those of the photographs and of what the protocol showed.
+
+        Returns:
+            `[H, W, 3]`, float32, unit length, in our convention.
+
+        Raises:
+            InputError: if they have another size, or are no unit vectors.
+        """
+        normals = read_any(path)[..., list(self.order)] * np.array(
+            self.signs, np.float32
+        )
+        fitting = [mask for mask in masks if mask.shape == normals.shape[:2]]
+        if not fitting:
+            sizes = dict.fromkeys(f"{m.shape[1]} x {m.shape[0]}" for m in masks)
+            raise InputError(
+                f"{path}: expected normals of {' or '.join(sizes)} pixels, got "
+                f"{normals.shape[1]} x {normals.shape[0]}"
+            )
+        _check_lengths(path, normals[fitting[0]])
+        return normals
+
+    def _in_our_convention(self, path: Path) -> np.ndarray:
+        return read_any(path)[..., list(self.order)] * np.array(self.signs, np.float32)
+
+    def method(
+        self, name: str, subset: Subset, crop: Callable[[np.ndarray], np.ndarray]
+    ) -> Callable[[Observed], np.ndarray]:
+        """The normals of one object as a method.
+
+        Args:
+            name: the object's.
+            subset: which images it is shown in.
+            crop: brings normals of the photographs' size to what the protocol shows.
+        """
+
+        def method(observed: Observed) -> np.ndarray:
+            path = self.find(name, subset)
+            if path is None:
+                raise Unsupported(f"files: no normals in {self.folder.name}")
+            normals = read_any(path)[..., list(self.order)] * np.array(
+                self.signs, np.float32
+            )
+            shown = normals.shape[:2] == observed.mask.shape
+            return normals if shown else crop(normals)
+
+        return method
+
+
+def from_files(request: str) -> Variant:
+    """The normals of `files:DIR,option=value,...`."""
+    text = request.partition(":")[2]
+    folder, _, rest = (text, "", "") if Path(text).is_dir() else text.partition(",")
+    if not folder or not Path(folder).is_dir():
+        raise InputError(
+            f"method {request!r}: expected a folder, files:DIR, found none"
+        )
+    options = parse_options(request, rest)
+    oracle = take_oracle(options)
+    name = str(options.pop("name", Path(folder).resolve().name))
+    try:
+        check_types(normal_files, options)
+        found = normal_files(folder, **options)
+    except TypeError as error:
+        raise InputError(f"method {request!r}: {error}") from error
+    key = {
+        "method": "files",
+        "options": options,
+        "oracle": oracle,
+        "method_code": code_hash("evaluation.normal_files"),
+    }
+    about = described("Normals made elsewhere, read from files", oracle=oracle)
+    label = label_of(name, {}, oracle=oracle)
+    return Variant(label, key, _refuse, about, oracle, found, foreign=True)
+
+
+def normal_files(
+    folder: str,
+    *,
+    x: Literal["right", "left"] = "right",
+    y: Literal["up", "down"] = "up",
+    z: Literal["viewer", "away"] = "viewer",
+    channels: Literal["rgb", "bgr"] = "rgb",
+    file: str = "",
+) -> NormalFiles:
+    """A folder of normals in a convention.
+
+    Args:
+        folder: where they are.
+        x: where the first component points.
+        y: where the second does.
+        z: where the third does.
+        channels: the order in which they are stored.
+        file: as `NormalFiles` has it.
+    """
+    signs = 1 - 2 * (x == "left"), 1 - 2 * (y == "down"), 1 - 2 * (z == "away")
+    order = (2, 1, 0) if channels == "bgr" else (0, 1, 2)
+    return NormalFiles(Path(folder), signs, order, file)
+
+
+def read_any(path: Path) -> np.ndarray:
+    """Normals `[H, W, 3]`, float32, as stored, of an array or an image.
+
+    Raises:
+        InputError: if the file holds none.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".npy", ".mat"):
+        return read_normals(path)
+    normals = read_array(path) if suffix == ".npy" else files.read_mat_normals(path)
+    if normals.ndim != 3 or normals.shape[2] != 3:
+        raise InputError(f"{path}: expected normals [H, W, 3], got {normals.shape}")
+    return normals
+
+
+def _refuse(observed: Observed) -> NoReturn:
+    raise Unsupported("files: normals are read for known objects only")
+
+
+def _named(base: Path, name: str) -> Iterator[Path]:
+    """Files that could hold an object's normals."""
+    yield from (p for s in _SUFFIXES if (p := base / f"{name}{s}").is_file())
+    for folder in (base / name, base / f"{name}.data", base / f"{name}PNG"):
+        if folder.is_dir():
+            yield from sorted(path for path in folder.iterdir() if _speaks(path))
+
+
+def _speaks(path: Path) -> bool:
+    """Whether a file's name says that it holds estimated normals."""
+    stem = path.stem.lower()
+    return (
+        path.suffix.lower() in _SUFFIXES
+        and any(word in stem for word in _WORDS)
+        and not any(word in stem for word in _NO_NORMALS)
+    )
+
+
+def _best(place: Path, found: Iterator[Path]) -> Path | None:
+    """The one of the kind that loses least."""
+    by_suffix: dict[str, list[Path]] = {}
+    for path in found:
+        by_suffix.setdefault(path.suffix.lower(), []).append(path)
+    for suffix in _SUFFIXES:
+        same = by_suffix.get(suffix, [])
+        if len(same) > 1:
+            raise InputError(
+                f"{place}: expected one file of normals, found {same[0].name} and "
+                f"{same[1].name}; say which by ,file=..."
+            )
+        if same:
+            return same[0]
+    return None
+
+
+def _check_lengths(path: Path, inside: np.ndarray) -> None:
+    """Refuses what is no normals, and says what it looks like."""
+    known = inside[np.isfinite(inside).all(-1) & inside.any(-1)].astype(float)
+    if not len(known):
+        raise InputError(f"{path}: expected normals on the object, found only zeros")
+    length = float(np.median(np.linalg.norm(known, axis=-1)))
+    if _LENGTHS[0] <= length <= _LENGTHS[1]:
+        return
+    readings: dict[str, Any] = {
+        "(n + 1) / 2; store 2 v - 1": 2 * known - 1,
+        "bytes; store v / 127.5 - 1": known / 127.5 - 1,
+        "16 bits; store v / 32767.5 - 1": known / 32767.5 - 1,
+    }
+    hint = ""
+    for what, read in readings.items():
+        if _LENGTHS[0] <= np.median(np.linalg.norm(read, axis=-1)) <= _LENGTHS[1]:
+            hint = f"; it seems to hold {what}"
+            break
+    raise InputError(
+        f"{path}: expected unit vectors, got a median length of {length:.3g}{hint}"
+    )

@@ -1,0 +1,116 @@
+"""A method with its options: what it is called, and what its results depend on."""
+
+import ast
+import hashlib
+import inspect
+import re
+import typing
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from typeguard import TypeCheckError, check_type
+
+from unips_jax.baselines.method import Method
+from unips_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from unips_jax.evaluation.normal_files import NormalFiles
+
+DAGGER = "\N{DAGGER}"
+
+
+class Variant(NamedTuple):
+    """A method with its options: a column of the tables.
+
+    Attributes:
+        label: its name in tables, unique in a run.
+        key: what its results depend on, as JSON values.
+        run: the method.
+        about: what it is, one line.
+        oracle: whether the truth chooses the signs of its normals.
+        files: where its normals lie, in place of `run`, which then only refuses.
+        foreign: it is not ours: whether its axes seem turned is looked at.
+    """
+
+    label: str
+    key: dict[str, Any]
+    run: Method
+    about: str = ""
+    oracle: bool = False
+    files: "NormalFiles | None" = None
+    foreign: bool = False
+
+
+def parse_options(request: str, text: str) -> dict[str, Any]:
+    """The options of `option=value,option=value`.
+
+    Args:
+        request: the whole of what was asked for, for errors.
+        text: its options.
+    """
+    options: dict[str, Any] = {}
+    # Commas inside parentheses belong to a value.
+    for part in re.split(r",(?![^()]*\))", text) if text else []:
+        name, equals, value = part.partition("=")
+        if not name.isidentifier() or not equals:
+            raise InputError(f"method {request!r}: expected option=value, got {part!r}")
+        try:
+            options[name] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            options[name] = value
+    return options
+
+
+def check_types(factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    """Raises `TypeError` for an option whose value the signature does not allow."""
+    try:
+        kinds = typing.get_type_hints(factory)
+    except (NameError, TypeError):  # names that only type checkers see
+        return
+    for name in kinds.keys() & options.keys():
+        try:
+            check_type(options[name], kinds[name])
+        except TypeCheckError:
+            wanted, got = inspect.formatannotation(kinds[name]), options[name]
+            raise TypeError(f"{name}: expected {wanted}, got {got!r}") from None
+
+
+def label_of(name: str, options: Mapping[str, Any], *, oracle: bool) -> str:
+    """A method's name with its options, without folders."""
+    words = [
+        f"{key}={Path(value).stem if is_file(value) else value}"
+        for key, value in options.items()
+    ]
+    return name + DAGGER * oracle + ":" * bool(words) + ",".join(words)
+
+
+def described(about: str, *, oracle: bool) -> str:
+    """What a method is, with what the dagger means."""
+    return about + f". {DAGGER}: signs of x, y and z chosen by the truth" * oracle
+
+
+def take_oracle(options: dict[str, Any]) -> bool:
+    """Whether the truth chooses the signs; takes `sign=oracle` out of the options."""
+    oracle = options.get("sign") == "oracle"
+    if oracle:
+        del options["sign"]
+    return oracle
+
+
+def is_file(value: Any) -> bool:
+    """Whether an option's value names a file."""
+    return isinstance(value, str) and Path(value).is_file()
+
+
+def hashed(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options as they stand in result keys: a file stands for its contents."""
+    return {
+        key: bytes_hash(Path(value).read_bytes()) if is_file(value) else value
+        for key, value in options.items()
+    }
+
+
+def bytes_hash(data: bytes) -> str:
+    """A hash of a file's contents."""
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
