@@ -24,6 +24,7 @@ from unips_jax.version import __version__
 if TYPE_CHECKING:
     from unips_jax.estimation.pure import estimate_normals
     from unips_jax.estimation.streaming import estimate_photographs
+    from unips_jax.evaluation.figures import load_results
     from unips_jax.io.photographs import read_photographs
     from unips_jax.lighting.lights import estimate_lights
     from unips_jax.lighting.relight import DistantLights, Materials, relight
@@ -47,6 +48,7 @@ __all__ = [
     "estimate_photographs",
     "integrate_image",
     "integrate_normals",
+    "load_results",
     "load_weights",
     "read_photographs",
     "relight",
@@ -64,6 +66,7 @@ _MODULES = {
     "estimate_photographs": "estimation.streaming",
     "integrate_image": "surface.images",
     "integrate_normals": "surface.integrate",
+    "load_results": "evaluation.figures",
     "load_weights": "weights",
     "read_photographs": "io.photographs",
     "relight": "lighting.relight",

@@ -214,6 +214,7 @@ def _evaluate(plan: planning.Plan, store: Store, typed: str, *, pictures: bool) 
     )
     tables = summary.tables(results)
     written = [publish.write_tables(store, tables)]
+    publish.write_figures(store, results)
     if plan.benchmark.name == "diligent102":
         written.append(publish.write_submissions(store, results))
     if pictures:

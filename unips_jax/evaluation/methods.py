@@ -33,3 +33,177 @@ from unips_jax.evaluation.variants import (
     parse_options,
     take_oracle,
 )
+from unips_jax.provenance import code_hash
+
+if TYPE_CHECKING:
+    from unips_jax.models.network import UniversalNetwork
+
+
+class UnipsOptions(NamedTuple):
+    """How UniPS is evaluated.
+
+    Attributes:
+        weights: names of shipped weights, or files; each is a method.
+        canonical_sizes: sides of the encoder's images to compare (Table 4); the
+            weights' own where empty.
+        uniform_contexts: also evaluate with contexts averaged over space (Table 5).
+    """
+
+    weights: Sequence[str]
+    canonical_sizes: Sequence[int] = ()
+    uniform_contexts: bool = False
+
+
+def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]:
+    """Readies the methods asked for, and the constant normal, the floor of any table.
+
+    Args:
+        requests: `name` or `name:option=value,...`; `classical` stands for the
+            baselines that need no weights.
+        unips: what `unips` stands for.
+
+    Raises:
+        InputError: if a method, an option or weights are not there.
+    """
+    variants: list[Variant] = []
+    expanded = [
+        name for r in requests for name in (CLASSICAL if r == "classical" else [r])
+    ]
+    for request in dict.fromkeys([*expanded, "constant"]):
+        name, _, options = request.partition(":")
+        if name == "unips":
+            if options:
+                raise InputError(
+                    f"method {request!r}: options of unips are given by --weights, "
+                    "--canonical-size and --uniform-contexts"
+                )
+            variants += _unips_variants(unips)
+        elif name == "files":
+            variants.append(from_files(request))
+        elif name == "python":
+            variants.append(from_module(request))
+        elif name not in BASELINES and name in (others := installed()):
+            variants.append(from_package(request, others[name]))
+        else:
+            variants.append(_baseline(request, name, parse_options(request, options)))
+    labels = [variant.label for variant in variants]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise InputError(
+                f"two methods are called {label!r}; rename the weights, or give "
+                "files:DIR a ,name=..."
+            )
+    return variants
+
+
+def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
+    if name not in BASELINES:
+        known = [*NAMES, "classical", *installed()]
+        raise InputError(
+            f"no method {name!r}; there are {', '.join(known)}, files:DIR and "
+            "python:module:factory"
+        )
+    baseline = BASELINES[name]
+    _check_files(request, name, options)
+    oracle = take_oracle(options)
+    label_options = dict(options)
+    options = {**baseline.fixed, **options}
+    key = {"method": name, "options": hashed(options), "oracle": oracle}
+    if "normals" in options:
+        options["normals"] = _calibrated(request, str(options["normals"]))
+    try:
+        module = importlib.import_module(f"unips_jax.baselines.{baseline.module}")
+        factory: Callable[..., Method] = getattr(module, baseline.factory)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise InputError(f"method {name!r} is not in this version") from error
+    try:
+        check_types(factory, options)
+        method = factory(**options)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"method {request!r}: {error}") from error
+    key["method_code"] = code_hash(f"baselines.{baseline.module}")
+    # Two readings of one paper: every row says which.
+    defaults = inspect.signature(factory).parameters
+    for option in [name for name in ("norm", "per") if name in defaults]:
+        label_options.setdefault(option, defaults[option].default)
+    label = label_of(name, label_options, oracle=oracle)
+    return Variant(label, key, method, described(baseline.about, oracle=oracle), oracle)
+
+
+def _check_files(request: str, name: str, options: Mapping[str, Any]) -> None:
+    """Refuses a method that would find out at the first object what it lacks."""
+    network, weights = BASELINES[name].network, options.get("weights")
+    if (network or "weights" in options) and not Path(str(weights)).is_file():
+        raise InputError(
+            f"method {request!r}: expected a file of weights, {name}:weights=FILE, got "
+            f"{weights!r}"
+        )
+    if network:
+        from unips_jax.baselines.gcnet.parameters import load_params
+
+        found = load_params(str(weights))[1]
+        if found != network:
+            raise InputError(
+                f"method {request!r}: expected the weights of {network}, but {weights} "
+                f"holds those of {found}"
+            )
+    if network in ("gcnet", "lcnet") and "normals" not in options:
+        raise InputError(
+            f"method {request!r}: expected what makes the normals, a file of PS-FCN's "
+            "weights or a calibrated baseline, got nothing; add ,normals=woodham"
+        )
+
+
+def _calibrated(request: str, value: str) -> Method:
+    """The method that finishes GCNet: PS-FCN's weights file, or a baseline's name."""
+    if Path(value).is_file():
+        return _baseline(f"ps-fcn:weights={value}", "ps-fcn", {"weights": value}).run
+    if value not in BASELINES or BASELINES[value].network:
+        raise InputError(
+            f"method {request!r}: expected as normals a file of PS-FCN's weights or a "
+            f"calibrated baseline such as woodham, got {value!r}"
+        )
+    return _baseline(value, value, {}).run
+
+
+def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
+    from unips_jax.weights import load_weights, weights_hash
+
+    several = len(unips.weights) > 1
+    for source in unips.weights:
+        network = load_weights(source)
+        config, weights = network.config, weights_hash(network)
+        base = f"unips {Path(source).stem}" if several else "unips"
+        sizes = list(unips.canonical_sizes) or [config.canonical_size]
+        for size in sizes:
+            try:
+                sized = dataclasses.replace(config, canonical_size=size)
+            except ValueError as error:
+                raise InputError(f"--canonical-size: {error}") from error
+            label = base if len(sizes) == 1 else f"{base} canonical {size}"
+            for uniform in (False, True)[: 1 + unips.uniform_contexts]:
+                options = {"canonical_size": size, "uniform_contexts": uniform}
+                yield Variant(
+                    label + " uniform contexts" * uniform,
+                    {
+                        **{"method": "unips", "options": options, "weights": weights},
+                        "method_code": code_hash("estimation.streaming"),
+                    },
+                    _unips(dataclasses.replace(network, config=sized), uniform),
+                    f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "
+                    f"hash {weights}",
+                )
+
+
+def _unips(network: "UniversalNetwork", uniform_contexts: bool) -> Method:
+    from unips_jax.estimation.streaming import estimate_photographs
+
+    def method(observed: Observed) -> np.ndarray:
+        return estimate_photographs(
+            network,
+            observed.images,
+            observed.mask,
+            uniform_contexts=uniform_contexts,
+        )
+
+    return method

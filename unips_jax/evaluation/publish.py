@@ -18,7 +18,7 @@ from unips_jax.evaluation.runner import Result
 from unips_jax.evaluation.sheets import Panel, sheet
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.summary import TABLES
-from unips_jax.evaluation.tables import files_of
+from unips_jax.evaluation.tables import figures_csv, files_of
 from unips_jax.io.claims import slug, write_whole
 from unips_jax.io.images import encode_image
 from unips_jax.provenance import code_hash
@@ -39,6 +39,14 @@ def write_tables(store: Store, tables: Sequence[Table]) -> Path:
         for name in {f"{table}.csv" for table in TABLES} - set(files):
             (folder / name).unlink(missing_ok=True)
     return folder
+
+
+def write_figures(store: Store, results: Results) -> Path:
+    """Writes every number of the run as one CSV; returns its path."""
+    path = store.root / "tables" / "figures.csv"
+    with store.claim("publish", wait=True):
+        write_whole(path, figures_csv(results))
+    return path
 
 
 def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibit]:

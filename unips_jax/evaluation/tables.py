@@ -4,13 +4,17 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import jinja2
 import markupsafe
 
 from unips_jax.evaluation.cells import Table, Value
+from unips_jax.evaluation.figures import COLUMNS
+from unips_jax.evaluation.results import Results
+from unips_jax.evaluation.runner import Result
+from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -80,6 +84,41 @@ def csv_text(names: Sequence[str], rows: Iterable[Sequence[Value]]) -> str:
     writer.writerow(names)
     writer.writerows(rows)
     return buffer.getvalue()
+
+
+def figures_csv(results: Results) -> bytes:
+    """Every number of a run, a row each; see `figures`."""
+    rows: list[list[Value]] = []
+    for result in results.results:
+        tags: list[Value] = [
+            result.tags.get(tag, "") for tag in ("object", "lighting", "view")
+        ]
+        seed = -1 if result.seed is None else result.seed
+        head: list[Value] = [
+            results.benchmark,
+            *tags,
+            result.label,
+            result.images,
+            seed,
+        ]
+        rows += [[*head, name, value] for name, value in _numbers(result)]
+    return csv_text(COLUMNS, rows).encode()
+
+
+def _numbers(result: Result) -> Iterator[tuple[str, float]]:
+    if score := result.score:
+        yield "mae_deg", score.mae
+        yield "median_deg", score.median
+        for threshold, share in zip(THRESHOLDS_DEG, score.within, strict=True):
+            yield f"below_{threshold:g}_deg_percent", share
+        bins = zip(score.view_pixels, score.view_sums, strict=True)
+        for low, (pixels, total) in zip(VIEW_EDGES_DEG, bins, strict=False):
+            if pixels:
+                yield f"mae_seen_from_{low}_deg", total / pixels
+        yield "pixels", score.pixels
+        yield "pixels_without_truth", score.zero_truth
+        yield "pixels_without_estimate", score.invalid
+    yield from result.measures.items()
 
 
 def _breakable(text: str) -> markupsafe.Markup:

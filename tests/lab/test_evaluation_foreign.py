@@ -1,0 +1,269 @@
+"""Other people's methods: normals in files, functions in modules and packages."""
+
+import json
+import re
+import sys
+
+import cv2
+import evaluation_data as data
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from unips_jax.baselines.method import Observed
+from unips_jax.cli import evaluate as evaluation
+from unips_jax.errors import InputError
+from unips_jax.evaluation import axes, foreign
+from unips_jax.evaluation.methods import UnipsOptions, load_variants
+from unips_jax.evaluation.normal_files import from_files, read_any
+from unips_jax.io.images import write_exr
+from unips_jax.io.normals import encode_normals
+
+NO_WEIGHTS = UnipsOptions(())
+
+
+@pytest.fixture(scope="module")
+def objects(tmp_path_factory):
+    """Two folders of photographs with true normals, `cup` and `shoe`."""
+    return data.make_folder(tmp_path_factory.mktemp("objects"))
+
+
+def truth(index):
+    return data.sphere(20, 20 + index)[1].astype(np.float32)
+
+
+def run(root, work, *rest):
+    named = ["--benchmark", "folder", "--root", str(root), "--workdir", str(work)]
+    return evaluation.main([*named, "--no-pictures", *rest])
+
+
+def tables_of(work):
+    return json.loads((work / "tables" / "tables.json").read_text())
+
+
+def errors_of(work):
+    rows = tables_of(work)["summary"]["rows"]
+    return {row[0]: row[3] for row in rows if row[2] == "this run"}
+
+
+WRITERS = {
+    "name.npy": lambda path, n: np.save(path / "cup.npy", n),
+    "name.mat": lambda path, n: savemat(path / "cup.mat", {"anything": n}),
+    "name.png": lambda path, n: data.write_image(path / "cup.png", encode_normals(n)),
+    "name.exr": lambda path, n: write_exr(path / "cup.exr", {"RGB": n}),
+    "folder": lambda path, n: data.write_image(
+        path / "cup" / "normals.png", encode_normals(n)
+    ),
+    "folder.data": lambda path, n: data.write_image(
+        path / "cup.data" / "nml_predict.png", encode_normals(n)
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_normals_are_found_and_read_in_every_format(objects, tmp_path, kind):
+    made = tmp_path / "mine"
+    made.mkdir()
+    WRITERS[kind](made, truth(0))
+    assert run(objects, tmp_path / "work", "-m", f"files:{made}") == 0
+    summary = tables_of(tmp_path / "work")["summary"]["rows"]
+    assert summary[0][0] == "mine" and summary[0][3] < 0.01
+    assert summary[0][-1] == "1 of 2"  # the shoe has none, and a remark says so
+    remarks = tables_of(tmp_path / "work")["remarks"]["rows"]
+    assert ["shoe", "mine", "files: no normals in mine"] in remarks
+
+
+def test_a_file_may_be_named(objects, tmp_path):
+    for i, name in enumerate(("cup", "shoe")):
+        place = tmp_path / "mine" / "results" / f"{name}.data"
+        data.write_image(place / "out.png", encode_normals(truth(i)))
+    request = f"files:{tmp_path / 'mine'},file=results/{{object}}.data/out.png,name=SDM"
+    assert run(objects, tmp_path / "work", "-m", request) == 0
+    assert errors_of(tmp_path / "work")["SDM"] < 0.01
+
+
+TURNS = {
+    "x=left": (-1, 1, 1),
+    "y=down": (1, -1, 1),
+    "z=away": (1, 1, -1),
+    "y=down,z=away": (1, -1, -1),
+    "x=left,y=down": (-1, -1, 1),
+}
+
+
+@pytest.mark.parametrize("options", [*TURNS, "channels=bgr"])
+def test_a_turned_axis_is_named_and_can_be_said(objects, tmp_path, capsys, options):
+    made = tmp_path / "mine"
+    made.mkdir()
+    for i, name in enumerate(("cup", "shoe")):
+        turned = truth(i) * np.float32(TURNS.get(options, (1, 1, 1)))
+        np.save(made / f"{name}.npy", turned[..., ::-1] if "bgr" in options else turned)
+    work = tmp_path / "work"
+    assert run(objects, work, "-m", f"files:{made}") == 0
+    warnings = [x for x in capsys.readouterr().err.splitlines() if "warning" in x]
+    assert len(warnings) == 1 and f"files:DIR,{options} says so" in warnings[0]
+    assert errors_of(work)["mine"] > 20
+    remarks = tables_of(work)["remarks"]["rows"]
+    assert [row[:2] for row in remarks] == [["all", "mine"]]
+    assert run(objects, work, "-m", f"files:{made},{options}") == 0
+    assert "warning" not in capsys.readouterr().err
+    assert errors_of(work)["mine"] < 0.01
+
+
+def test_a_bad_method_is_not_called_turned():
+    """Normals far off, which no turn makes much better."""
+    mask, true = data.sphere(30, 30)
+    noise = np.random.default_rng(0).normal(size=true.shape)
+    flat = np.broadcast_to(np.float32([0, 0, 1]), true.shape)
+    for normals in (noise, flat, true + 0.5 * noise):
+        mae = axes.errors_if_turned(normals, true, mask)
+        known = float(axes.error_map(normals, true)[mask].mean())
+        assert axes.find_turned([(known, mae)]) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda n: n / 2 + 0.5, r"length of 1\.\d+; it seems to hold \(n \+ 1\) / 2"),
+        (lambda n: n[:10], "expected normals of 20 x 20 pixels, got 20 x 10"),
+        (lambda n: n[..., :2], r"expected normals \[H, W, 3\], got \(20, 20, 2\)"),
+        (lambda n: 0 * n, "found only zeros"),
+        (lambda n: np.rint(127.5 * (n + 1)), "it seems to hold bytes"),
+    ],
+)
+def test_what_are_no_normals_is_refused_in_one_line(
+    objects, tmp_path, capsys, change, message
+):
+    made = tmp_path / "mine"
+    made.mkdir()
+    np.save(made / "cup.npy", change(truth(0)))
+    assert run(objects, tmp_path / "work", "-m", f"files:{made}") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert not (tmp_path / "work").exists()  # before any work
+    assert re.search(message, error)
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        ("files:nowhere", "expected files:DIR, found no such folder"),
+        ("files:HERE,y=sideways", "y: expected .*'down'.*, got 'sideways'"),
+        ("files:HERE,q=1", "unexpected keyword argument 'q'"),
+        ("python:json", "expected python:package.module:factory"),
+        ("python:no_such_module:make", "no module 'no_such_module'"),
+        ("python:json:nothing", "json has no function 'nothing'"),
+        ("python:json:dumps", "returns the method"),
+        ("python:builtins:str", "expected str to return a method"),
+    ],
+)
+def test_bad_requests(tmp_path, request_, message):
+    with pytest.raises(InputError, match=message):
+        load_variants([request_.replace("HERE", str(tmp_path))], NO_WEIGHTS)
+
+
+def test_two_files_that_could_be_meant(objects, tmp_path, capsys):
+    for name in ("normals.png", "nml.png"):
+        data.write_image(tmp_path / "mine" / "cup" / name, encode_normals(truth(0)))
+    assert run(objects, tmp_path / "work", "-m", f"files:{tmp_path / 'mine'}") == 2
+    assert "found nml.png and normals.png; say which" in capsys.readouterr().err
+
+
+def test_changed_files_are_scored_again(objects, tmp_path):
+    made = tmp_path / "mine"
+    made.mkdir()
+    for normals in (truth(0), np.float32([0, 0, 1]) + 0 * truth(0)):
+        np.save(made / "cup.npy", normals)
+        assert run(objects, tmp_path / "work", "-m", f"files:{made}") == 0
+    assert errors_of(tmp_path / "work")["mine"] > 20
+
+
+def test_mat_of_many_variables(tmp_path):
+    normals = truth(0)
+    savemat(tmp_path / "a.mat", {"a": normals, "b": normals, "Normal_est": -normals})
+    np.testing.assert_array_equal(read_any(tmp_path / "a.mat"), -normals)
+    savemat(tmp_path / "a.mat", {"a": normals, "b": normals})
+    with pytest.raises(InputError, match="or one named Normal_est, found"):
+        read_any(tmp_path / "a.mat")
+
+
+def test_inputs_are_what_methods_are_given_and_lead_back(tmp_path):
+    """What another program would do: photographs in, normals of the crop out."""
+    root = data.make_ps_wild(tmp_path / "data", lightings=("directional",))
+    named = ["--benchmark", "ps-wild", "--root", str(root), "--no-pictures"]
+    subsets = ["--crop-size", "16", "--num-images", "2", "all", "--seeds", "0", "1"]
+    command = [*named, *subsets, "--workdir", str(tmp_path / "work")]
+    assert evaluation.main([*command, "--write-inputs", "-m", "constant"]) == 0
+    inputs = tmp_path / "work" / "inputs"
+    names = sorted(path.name for path in inputs.iterdir())
+    assert names == ["2-seed-0", "2-seed-1", "all"]
+    for folder in inputs.glob("*/*.data"):
+        photographs = sorted(folder.glob("L_*.png"))
+        assert len(photographs) == (4 if folder.parent.name == "all" else 2)
+        image = cv2.imread(str(photographs[0]), cv2.IMREAD_UNCHANGED)
+        assert image.shape == (16, 16, 3) and image.dtype == np.uint16
+        assert np.loadtxt(folder / "light_directions.txt").shape[1] == 3
+        mask = cv2.imread(str(folder / "mask.png"), cv2.IMREAD_UNCHANGED) > 0
+        flat = np.where(mask[..., None], np.float32([0, 0, 1]), 0)
+        made = tmp_path / "made" / folder.parent.name
+        made.mkdir(parents=True, exist_ok=True)
+        np.save(made / f"{folder.stem}.npy", flat)
+    assert evaluation.main([*command, "-m", f"files:{tmp_path / 'made'}"]) == 0
+    rows = tables_of(tmp_path / "work")["spread"]["rows"]
+    by_method = {(row[0], row[1]): row[2] for row in rows}
+    for images in (2, "all"):
+        same = by_method["constant", images]
+        assert by_method["made", images] == pytest.approx(same, abs=1e-6)
+
+
+MODULE = '''
+"""A module of the user's."""
+import numpy as np
+
+def leaning(*, degrees: float = 0.0):
+    """All normals lean to the right. And more words."""
+    lean = np.radians(degrees)
+    normal = np.array([np.sin(lean), 0, np.cos(lean)])
+    return lambda observed: observed.mask[..., None] * normal
+'''
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    (tmp_path / "my_methods.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield tmp_path / "my_methods.py"
+    sys.modules.pop("my_methods", None)
+
+
+def test_a_function_of_ones_own_is_a_method(module):
+    request = "python:my_methods:leaning:degrees=20.0"
+    variant, _ = load_variants([request], NO_WEIGHTS)
+    assert variant.label == "leaning:degrees=20.0"
+    assert variant.about == "All normals lean to the right. And more words"
+    found = variant.run(Observed(np.ones((1, 1, 1, 3)), np.ones((1, 1), bool)))
+    np.testing.assert_allclose(found[0, 0], data.tilted(20)[0, 0])
+    before = variant.key["method_code"]
+    module.write_text(MODULE + "# changed\n")
+    assert foreign.sources_hash(module) != before
+    with pytest.raises(InputError, match="degrees: expected float, got 'much'"):
+        load_variants(["python:my_methods:leaning:degrees=much"], NO_WEIGHTS)
+
+
+def test_a_package_brings_a_method(module, monkeypatch):
+    known = {"leaning": "my_methods:leaning"}
+    monkeypatch.setattr("unips_jax.evaluation.methods.installed", lambda: known)
+    labels = [v.label for v in load_variants(["leaning:degrees=3.0"], NO_WEIGHTS)]
+    assert labels == ["leaning:degrees=3.0", "constant"]
+    with pytest.raises(InputError, match="classical, leaning, files:DIR and python"):
+        load_variants(["phong"], NO_WEIGHTS)
+
+
+def test_two_folders_of_one_name(tmp_path):
+    for name in ("a/out", "b/out"):
+        (tmp_path / name).mkdir(parents=True)
+    requests = [f"files:{tmp_path / 'a/out'}", f"files:{tmp_path / 'b/out'}"]
+    with pytest.raises(InputError, match="two methods are called 'out'; .*name="):
+        load_variants(requests, NO_WEIGHTS)
+    assert from_files(f"{requests[0]},name=first").label == "first"

@@ -1,0 +1,146 @@
+"""Every figure of a run, as arrays: what `unips eval` wrote to `tables/figures.csv`.
+
+    figures = unips_jax.load_results("out")
+    figures.pick(method="unips", measure="mae_deg").value.mean()
+    figures.compare("unips", "woodham", images=10)
+    figures.frame()                                     # where pandas is installed
+
+A row is one number of one method on one object, under one lighting and in one view,
+from some of its images. Reading needs no JAX.
+"""
+
+import csv
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from unips_jax.errors import InputError
+from unips_jax.evaluation.statistics import Pair, compare
+
+if TYPE_CHECKING:
+    import pandas
+
+COLUMNS = tuple(
+    "benchmark object lighting view method images seed measure value".split()
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Figures:
+    """Figures as columns `[N]`.
+
+    Attributes:
+        benchmark: its name.
+        object: the object's.
+        lighting: empty where the benchmark has none.
+        view: empty where it has none.
+        method: the label of the method.
+        images: how many were used.
+        seed: of the subset; -1 where all images were used.
+        measure: what was measured, such as `mae_deg`.
+        value: the number.
+    """
+
+    benchmark: np.ndarray
+    object: np.ndarray
+    lighting: np.ndarray
+    view: np.ndarray
+    method: np.ndarray
+    images: np.ndarray
+    seed: np.ndarray
+    measure: np.ndarray
+    value: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.value)
+
+    def pick(self, **wanted: Any) -> "Figures":
+        """The rows whose columns have these values, as in `pick(method="unips")`.
+
+        Raises:
+            ValueError: if there is no such column.
+        """
+        kept = np.ones(len(self), bool)
+        for name, value in wanted.items():
+            if name not in COLUMNS:
+                raise ValueError(f"expected one of {', '.join(COLUMNS)}, got {name!r}")
+            kept &= getattr(self, name) == value
+        return Figures(**{name: getattr(self, name)[kept] for name in COLUMNS})
+
+    def compare(
+        self, first: str, second: str, *, measure: str = "mae_deg", **wanted: Any
+    ) -> Pair:
+        """Compares two methods on what both have, object by object.
+
+        Args:
+            first: a method.
+            second: another.
+            measure: in which; lower is better.
+            **wanted: as in `pick`; over seeds, and whatever else is left, the mean is
+                taken.
+
+        Raises:
+            ValueError: if they share nothing.
+        """
+        errors = [
+            self.pick(method=name, measure=measure, **wanted)._by_object()
+            for name in (first, second)
+        ]
+        pair = compare(*errors)
+        if pair is None:
+            known = ", ".join(dict.fromkeys(self.method))
+            raise ValueError(
+                f"{first!r} and {second!r} share no {measure}; there are {known}"
+            )
+        return pair
+
+    def _by_object(self) -> dict[str, dict[str, float]]:
+        found: dict[str, dict[str, list[float]]] = {}
+        places = zip(self.lighting, self.view, self.images, strict=True)
+        for name, place, value in zip(self.object, places, self.value, strict=True):
+            entry = " ".join(map(str, place))
+            found.setdefault(str(name), {}).setdefault(entry, []).append(float(value))
+        return {
+            name: {entry: sum(own) / len(own) for entry, own in entries.items()}
+            for name, entries in found.items()
+        }
+
+    def frame(self) -> "pandas.DataFrame":
+        """The rows as a data frame of pandas, which must be installed."""
+        import pandas
+
+        return pandas.DataFrame(dataclasses.asdict(self))
+
+
+def load_results(workdir: str | os.PathLike[str]) -> Figures:
+    """Reads the figures that `unips eval` wrote.
+
+    Args:
+        workdir: the folder given as `--workdir`.
+
+    Raises:
+        InputError: if there are none.
+    """
+    path = Path(workdir) / "tables" / "figures.csv"
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            names, *rows = csv.reader(file)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path}: expected what `unips eval --workdir {workdir}` writes ({error})"
+        ) from error
+    if tuple(names) != COLUMNS:
+        raise InputError(f"{path}: expected the columns {', '.join(COLUMNS)}")
+    values = list(zip(*rows, strict=True)) or [()] * len(names)
+    columns = dict(zip(names, values, strict=True))
+    numbers = {"images": int, "seed": int, "value": float}
+    return Figures(
+        **{
+            name: np.array([numbers.get(name, str)(v) for v in column])
+            for name, column in columns.items()
+        }
+    )
