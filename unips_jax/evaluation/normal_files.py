@@ -161,7 +161,7 @@ def from_files(request: str) -> Variant:
     folder, _, rest = (text, "", "") if Path(text).is_dir() else text.partition(",")
     if not folder or not Path(folder).is_dir():
         raise InputError(
-            f"method {request!r}: expected a folder, files:DIR, found none"
+            f"method {request!r}: expected files:DIR, found no such folder"
         )
     options = parse_options(request, rest)
     oracle = take_oracle(options)

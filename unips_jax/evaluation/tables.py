@@ -90,18 +90,11 @@ def figures_csv(results: Results) -> bytes:
     """Every number of a run, a row each; see `figures`."""
     rows: list[list[Value]] = []
     for result in results.results:
-        tags: list[Value] = [
-            result.tags.get(tag, "") for tag in ("object", "lighting", "view")
-        ]
+        tags = [result.tags.get(tag, "") for tag in ("object", "lighting", "view")]
         seed = -1 if result.seed is None else result.seed
-        head: list[Value] = [
-            results.benchmark,
-            *tags,
-            result.label,
-            result.images,
-            seed,
-        ]
-        rows += [[*head, name, value] for name, value in _numbers(result)]
+        for name, value in _numbers(result):
+            head = [results.benchmark, *tags, result.label]
+            rows.append([*head, result.images, seed, name, value])
     return csv_text(COLUMNS, rows).encode()
 
 
