@@ -31,7 +31,7 @@ from unips_jax.evaluation.variants import (
     parse_options,
     take_oracle,
 )
-from unips_jax.io.normals import read_array, read_normals
+from unips_jax.io.normals import read_normals, read_numbers
 from unips_jax.provenance import code_hash
 
 # Those that lose least come first.
@@ -215,10 +215,10 @@ def read_any(path: Path) -> np.ndarray:
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".mat"):
         return read_normals(path)
-    normals = read_array(path) if suffix == ".npy" else files.read_mat_normals(path)
+    normals = read_numbers(path) if suffix == ".npy" else files.read_mat_normals(path)
     if normals.ndim != 3 or normals.shape[2] != 3:
         raise InputError(f"{path}: expected normals [H, W, 3], got {normals.shape}")
-    return normals
+    return normals.astype(np.float32)
 
 
 def _refuse(observed: Observed) -> NoReturn:
