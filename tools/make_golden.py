@@ -87,7 +87,7 @@ def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
     def contexts(network):
         inside = jnp.asarray(mask)
         views = make_views(normalize_images(images, inside), inside, config)
-        return encode(network, views).contexts[0]
+        return jnp.moveaxis(encode(network, views).contexts[0], 2, 0)
 
     @jax.jit
     def loss(network):

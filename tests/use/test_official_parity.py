@@ -63,7 +63,7 @@ def computed(official, golden):
     def decode(params, contexts, pixels):
         decoder = network.bind({"params": params}).decoder
         cells = y * 16 / 96 - 0.5, x * 16 / 96 - 0.5
-        read = read_contexts(contexts, *cells, config=config).swapaxes(0, 1)
+        read = read_contexts(jnp.moveaxis(contexts, 0, 2), *cells, config=config)
         features = decoder.aggregation(pixels, read)
         return features, decoder.prediction(features)
 

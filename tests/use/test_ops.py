@@ -1,7 +1,10 @@
 """Array functions against hand-made answers."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
+import jax.test_util
 import numpy as np
 import pytest
 
@@ -64,7 +67,9 @@ def test_bilinear_sample(size, zeros):
     grid = np.random.default_rng(1).random((2, h, w, 3), np.float32)
     rows = jnp.array([0.0, 0.25, h - 1.0, -0.5, h - 0.5])
     columns = jnp.array([0.0, 1.5, w - 1.0, 0.0, 2.0])
-    out = ops.bilinear_sample(jnp.asarray(grid), rows, columns, zeros=zeros)
+    cells = jnp.asarray(np.moveaxis(grid, 0, 2))
+    read = functools.partial(ops.bilinear_sample, zeros=zeros)
+    out = jnp.swapaxes(read(cells, rows, columns), 0, 1)
     half = 0.5 if zeros else 1.0
     expected = [
         grid[:, 0, 0],
@@ -75,6 +80,9 @@ def test_bilinear_sample(size, zeros):
         half * grid[:, -1, 2],
     ]
     np.testing.assert_allclose(out, np.stack(expected, 1), atol=1e-6)
+    # And its derivatives, by the grid and by the places, within the grid.
+    inner = (cells, rows[1:2] + 0.2, columns[1:2] + 0.3)
+    jax.test_util.check_grads(read, inner, order=1, modes=["rev"], rtol=0.01, atol=0.01)
 
 
 def test_normalize_has_finite_gradients_at_zero():

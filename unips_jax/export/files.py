@@ -172,7 +172,7 @@ def _shapes(config: ModelConfig) -> dict[str, Any]:
     n, height, width, count = export.symbolic_shape("N, H, W, P", scope=scope)
     views, side = 2 if config.mirror else 1, config.context_size
     shape = jax.ShapeDtypeStruct
-    contexts = (views, n, side, side, config.context_dim)
+    contexts = (views, side, side, n, config.context_dim)
     return {
         "images": shape((n, height, width, 3), jnp.float32),
         "mask": shape((height, width), bool),

@@ -19,7 +19,7 @@ class EncodedSet(NamedTuple):
     """What the photographs are encoded to, for their pixels to be decoded with.
 
     Attributes:
-        contexts: `[V, N, s/4, s/4, context_dim]`, of the images and the mirrored ones.
+        contexts: `[V, s/4, s/4, N, context_dim]`, of the images and the mirrored ones.
         views: `[V, 4]`, int32: top, left and side of the square that was encoded, and
             the images' width.
         gains: `[N]`: one over each image's mean over masked pixels.

@@ -45,8 +45,8 @@ def bounded(num_images: int) -> dict[str, Any]:
 
 
 def pixels_at_a_time(contexts: Array) -> int:
-    """Pixels to decode together, from an object's contexts `[V, N, h, w, C]`."""
-    views, num_images = contexts.shape[:2]
+    """Pixels to decode together, from an object's contexts `[V, h, w, N, C]`."""
+    views, num_images = contexts.shape[0], contexts.shape[3]
     if not isinstance(num_images, int):  # a symbol under `jax.export`: perhaps eight
         num_images = 8
     return max(1, CHUNK_TOKENS // (views * num_images))

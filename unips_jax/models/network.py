@@ -95,15 +95,17 @@ class EncoderDecoder(nn.Module):
     ) -> Array:
         """Normals `[P, 3]` of pixels `[P, N, 3]` of one view `[N, s, s, 4]`."""
         contexts = self.encode(images, valid, deterministic).contexts
-        read = read_contexts(contexts, rows, columns, config=self.config)
-        return self.decode(pixels, jnp.swapaxes(read, 0, 1), valid, deterministic)
+        cells = jnp.moveaxis(contexts, 0, 2)
+        read = read_contexts(cells, rows, columns, config=self.config)
+        return self.decode(pixels, read, valid, deterministic)
 
 
 class Encoding(NamedTuple):
     """What V views of an object are encoded to, for its pixels to be decoded with.
 
     Attributes:
-        contexts: the global lighting contexts, `[V, N, s/4, s/4, context_dim]`.
+        contexts: the global lighting contexts, `[V, s/4, s/4, N, context_dim]`: what is
+            read for a pixel lies side by side.
         frame: see `Views`, as of `width`.
         width: columns of the image.
         guesses: coarse normals and the lights of each view; None from a network that
@@ -145,7 +147,8 @@ def encode(
         rngs=None if dropout is None else {"dropout": dropout},
         method="encode",
     )
-    return Encoding(encoded.contexts, views.frame, views.width, encoded.guesses)
+    contexts = jnp.moveaxis(encoded.contexts, 1, 3)
+    return Encoding(contexts, views.frame, views.width, encoded.guesses)
 
 
 def decode(
@@ -176,8 +179,7 @@ def decode(
         cells = context_cells(rows, across, frame, network.config)
         of_view = encoding.contexts[view]
         read.append(read_contexts(of_view, *cells, config=network.config))
-    contexts = jnp.moveaxis(jnp.stack(read), 1, 2)  # [V, P, N, C]
-    normals = decode_sets(network, pixels[None], contexts, valid)
+    normals = decode_sets(network, pixels[None], jnp.stack(read), valid)
     if views == 1:
         return normals[0]
     back = jnp.array([[-1, 1, 1]], normals.dtype)
@@ -222,11 +224,11 @@ def with_uniform_contexts(encoding: Encoding, views: Views) -> Encoding:
     An ablation, to see what their spatial variation gives (UniPS, Table 5).
     """
     contexts = encoding.contexts
-    size = (contexts.shape[2], contexts.shape[3])
-    inside = ops.resize_mask_nearest(views.images[..., 3], size)[..., None]
-    inside = inside.astype(contexts.dtype)
-    total = jnp.sum(contexts * inside, axis=(2, 3), keepdims=True)
-    count = jnp.maximum(jnp.sum(inside, axis=(2, 3), keepdims=True), 1)
+    size = (contexts.shape[1], contexts.shape[2])
+    inside = ops.resize_mask_nearest(views.images[..., 3], size)  # [V, N, h, w]
+    inside = jnp.moveaxis(inside, 1, 3)[..., None].astype(contexts.dtype)
+    total = jnp.sum(contexts * inside, axis=(1, 2), keepdims=True)
+    count = jnp.maximum(jnp.sum(inside, axis=(1, 2), keepdims=True), 1)
     return encoding._replace(contexts=jnp.broadcast_to(total / count, contexts.shape))
 
 
@@ -254,13 +256,13 @@ def read_contexts(
     """Reads contexts between the cells of their grid.
 
     Args:
-        contexts: `[N, h, w, C]`.
+        contexts: `[h, w, N, C]`.
         rows: `[P]`, in cells of the grid; 0 is the centre of the first cell.
         columns: `[P]`, in cells.
         config: the network's configuration.
 
     Returns:
-        `[N, P, C]`.
+        `[P, N, C]`.
     """
     zeros = config.reads_at_corners
     return ops.bilinear_sample(contexts, rows, columns, zeros=zeros)

@@ -149,10 +149,10 @@ def training_loss(
     )
     contexts = encoding.contexts
     read = jax.vmap(functools.partial(read_contexts, config=config))
-    sampled = read(contexts, *prepared.cells)  # [B, N, P, C]
+    sampled = read(contexts, *prepared.cells)  # [B, P, N, C]
     if options.grid_loss:
-        cells = contexts.reshape(batch, num_images, -1, contexts.shape[-1])
-        sampled = jnp.concatenate([cells, sampled], axis=2)
+        cells = contexts.reshape(batch, -1, *contexts.shape[3:])
+        sampled = jnp.concatenate([cells, sampled], axis=1)
 
     def score(decoder: Any, sets: Any, truth: Any) -> tuple[Array, Array]:
         """Weighted distances of a chunk's pixels; cosines `[p, B]`."""
@@ -173,7 +173,7 @@ def training_loss(
     loss, cosine = chunked_sum(
         score,
         {"decoder": network.params["decoder"]},
-        tuple(x.transpose(2, 0, 1, 3) for x in (prepared.observed, sampled)),
+        tuple(jnp.swapaxes(x, 0, 1) for x in (prepared.observed, sampled)),
         (jnp.arange(len(true)), true, weights / batch),
         max(1, CHUNK_TOKENS // (batch * num_images)) if on_cpu else None,
     )
@@ -224,7 +224,7 @@ class _Prepared(NamedTuple):
     """
 
     views: Views  # [N, s, s, 4]: one, the images
-    observed: Array  # [N, G + P, 3]
+    observed: Array  # [G + P, N, 3]
     cells: tuple[Array, Array]  # rows and columns on the contexts' grid, [P] each
     true: Array  # [G + P, 3]
     weights: Array  # [G + P], of the pixels in the loss
@@ -258,7 +258,7 @@ def _prepare(
         weights = jnp.concatenate([mean_weights(small[0, ..., 3].reshape(-1)), weights])
     return _Prepared(
         Views(seen, frame, jnp.asarray(width, jnp.int32)),
-        observed,
+        jnp.swapaxes(observed, 0, 1),
         cells=context_cells(index // width, index % width, frame, config),
         true=true,
         weights=weights,
