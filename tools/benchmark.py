@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import unips_jax
-from unips_jax.console import command, keep_compiled
+from unips_jax.console import cache_compilations, command
 from unips_jax.errors import InputError
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.models.config import ModelConfig, SelfCalibratingConfig, UniPSConfig
@@ -274,7 +274,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             f"--size {size}: with --train, images have the size that --config "
             f"{arguments.config} says; leave --size out"
         )
-    keep_compiled()
+    cache_compilations()
     if official:
         data = DataConfig(image_size=size, batch_size=1)
         config = Config(model=ModelConfig.released(), data=data)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import jax
 
-from unips_jax.console import command, keep_compiled
+from unips_jax.console import cache_compilations, command
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder, write_whole
 from unips_jax.scenes import SceneConfig
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         "--install", action="store_true", help="also replace the shipped file"
     )
     arguments = parser.parse_args(argv)
-    keep_compiled()
+    cache_compilations()
     target, old = weights_path(arguments.over), weights_record(arguments.over)
     new = weights_record(arguments.weights)
     images = sorted(arguments.images)

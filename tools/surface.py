@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from unips_jax.console import keep_compiled
+from unips_jax.console import cache_compilations
 from unips_jax.surface.equations import Edges, balance, statements, system
 from unips_jax.surface.images import integrate_image
 from unips_jax.surface.multigrid import Springs, conjugate_gradients
@@ -182,7 +182,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--plain-size", type=int, default=512)
     parser.add_argument("--figure", type=Path)
     options = parser.parse_args(argv)
-    keep_compiled()
+    cache_compilations()
     if options.figure is not None:
         draw_figure(options.figure)
         return

@@ -27,7 +27,7 @@ from unips_jax.baselines.gcnet.lights import Logits, encode, light_errors, soft_
 from unips_jax.baselines.gcnet.networks import GCNet, LightNet, NormalNet, with_lights
 from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.baselines.method import Lights
-from unips_jax.console import keep_compiled
+from unips_jax.console import cache_compilations
 from unips_jax.io.claims import write_whole
 from unips_jax.scenes import LIGHT_KINDS, SceneConfig, render_batch
 
@@ -171,7 +171,7 @@ def main() -> None:
     parser.add_argument("--objects", type=int, default=8, help="per step (8)")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    keep_compiled()
+    cache_compilations()
     kept = arguments.output.with_suffix(".part")
     params = train(arguments.steps, arguments.objects, arguments.seed, kept)
     half = jax.tree.map(lambda x: np.asarray(x, np.float16), params)

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 from unips_jax.version import __version__
 
 if TYPE_CHECKING:
+    from unips_jax.console import cache_compilations
     from unips_jax.estimation.pure import estimate_normals
     from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.evaluation.figures import load_results
@@ -43,6 +44,7 @@ __all__ = [
     "UniversalNetwork",
     "__version__",
     "angular_error_deg",
+    "cache_compilations",
     "estimate_lights",
     "estimate_normals",
     "estimate_photographs",
@@ -61,6 +63,7 @@ _MODULES = {
     "ModelConfig": "models.config",
     "UniversalNetwork": "models.network",
     "angular_error_deg": "metrics",
+    "cache_compilations": "console",
     "estimate_lights": "lighting.lights",
     "estimate_normals": "estimation.pure",
     "estimate_photographs": "estimation.streaming",

@@ -185,7 +185,7 @@ def start_jax() -> None:
     """
     import jax
 
-    keep_compiled()
+    cache_compilations()
     try:
         jax.devices()
     except Exception as error:  # an AssertionError without text, among others
@@ -198,17 +198,26 @@ def start_jax() -> None:
         ) from error
 
 
-def keep_compiled() -> None:
-    """Keeps compiled functions for later runs, unless the user chose a place."""
+def cache_compilations(folder: str | os.PathLike[str] | None = None) -> None:
+    """Keeps what JAX compiles for later runs, at most a gigabyte of it.
+
+    Every command does so. A folder that `JAX_COMPILATION_CACHE_DIR` names is left as it
+    is, if none is given here.
+
+    Args:
+        folder: where; `unips_jax` in the user's cache folder if None.
+    """
     import jax
 
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    if folder is None and "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
-    home = os.environ.get("XDG_CACHE_HOME")
     # Without a home folder, of the environment or the user's, nothing is kept.
     with contextlib.suppress(RuntimeError):
-        place = Path(home) if home else Path.home() / ".cache"
-        jax.config.update("jax_compilation_cache_dir", str(place / "unips_jax"))
+        home = os.environ.get("XDG_CACHE_HOME")
+        place = (Path(home) if home else Path.home() / ".cache") / "unips_jax"
+        jax.config.update("jax_compilation_cache_dir", str(folder or place))
+        jax.config.update("jax_compilation_cache_max_size", 2**30)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
 @contextlib.contextmanager

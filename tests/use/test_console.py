@@ -17,7 +17,7 @@ import rich.progress
 
 from unips_jax.cli.main import COMMANDS
 from unips_jax.cli.main import main as unips
-from unips_jax.console import command, keep_compiled, track
+from unips_jax.console import cache_compilations, command, track
 
 CHATTY = """
 from unips_jax.console import command
@@ -127,7 +127,7 @@ def test_without_a_home_nothing_is_kept(monkeypatch):
     for name in ("JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     before = jax.config.jax_compilation_cache_dir
-    keep_compiled()
+    cache_compilations()
     assert jax.config.jax_compilation_cache_dir == before
 
 

@@ -77,7 +77,7 @@ def test_encoding_in_pieces_is_the_encoder(monkeypatch, communication):
 
     @jax.jit
     def both(network, images, valid):
-        views = Views(images, None, None)
+        views = Views(images, None, None, None)
         pieces = encode(network, views, valid, **chunks.bounded(5))
         whole = encode(network, views, valid)
         return pieces.contexts, whole.contexts

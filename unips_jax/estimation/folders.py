@@ -222,6 +222,7 @@ def estimate_selection(
         mask,
         transfer=transfer,
         frame=options.frame,
+        fast=options.fast,
     )
     if verbose:
         with progress("estimating normals") as report:

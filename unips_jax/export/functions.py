@@ -69,5 +69,6 @@ def decode_pixels(
         Unit normals, `[P, 3]`, x right, y up, z towards the viewer.
     """
     top, left, side, width = views.T
-    encoding = Encoding(contexts, Frame(top, left, side), width[0])
+    mirrored = jnp.arange(len(contexts)) == 1
+    encoding = Encoding(contexts, Frame(top, left, side), mirrored, width[0])
     return decode(network, encoding, pixels * gains[:, None], (rows, columns))

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax.traverse_util import flatten_dict
 from jax import Array
 
@@ -106,14 +105,16 @@ class Encoding(NamedTuple):
     Attributes:
         contexts: the global lighting contexts, `[V, s/4, s/4, N, context_dim]`: what is
             read for a pixel lies side by side.
-        frame: see `Views`, as of `width`.
-        width: columns of the image.
+        frame: see `Views`.
+        mirrored: see `Views`.
+        width: see `Views`.
         guesses: coarse normals and the lights of each view; None from a network that
             makes none.
     """
 
     contexts: Array
     frame: Frame
+    mirrored: Array
     width: Array
     guesses: Guesses | None = None
 
@@ -148,7 +149,7 @@ def encode(
         method="encode",
     )
     contexts = jnp.moveaxis(encoded.contexts, 1, 3)
-    return Encoding(contexts, views.frame, views.width, encoded.guesses)
+    return Encoding(contexts, *views[1:], guesses=encoded.guesses)
 
 
 def decode(
@@ -171,19 +172,15 @@ def decode(
         Unit normals, `[P, 3]`; of two views the mean, mirrored back.
     """
     rows, columns = places
-    views = len(encoding.contexts)
-    read = []
-    for view in range(views):
-        frame = jax.tree.map(lambda x: x[view], encoding.frame)  # noqa: B023
-        across = encoding.width - 1 - columns if view == 1 else columns
-        cells = context_cells(rows, across, frame, network.config)
-        of_view = encoding.contexts[view]
-        read.append(read_contexts(of_view, *cells, config=network.config))
-    normals = decode_sets(network, pixels[None], jnp.stack(read), valid)
-    if views == 1:
-        return normals[0]
-    back = jnp.array([[-1, 1, 1]], normals.dtype)
-    return ops.normalize(normals[0] + normals[1] * back)
+    read: list[Array] = []
+    for view, mirrored in zip(encoding.contexts, encoding.mirrored, strict=True):
+        top, left, side = (x[len(read)] for x in encoding.frame)
+        across = jnp.where(mirrored, encoding.width - 1 - columns, columns)
+        cells = context_cells(rows, across, Frame(top, left, side), network.config)
+        read.append(read_contexts(view, *cells, config=network.config))
+    normals = decode_sets(network, pixels[None], jnp.stack(read), valid)  # [V, P, 3]
+    normals = _mirrored_back(normals, encoding.mirrored)
+    return normals[0] if len(read) == 1 else ops.normalize(jnp.sum(normals, axis=0))
 
 
 def decode_sets(
@@ -245,9 +242,14 @@ def guessed_lights(encoding: Encoding) -> Array | None:
     """
     if encoding.guesses is None:
         return None
-    lights = encoding.guesses.lights  # [V, N, 3]
-    signs = np.array([[1, 1, 1], [-1, 1, 1]], lights.dtype)[: len(lights), None]
-    return (lights * signs).sum(axis=0) / len(lights)
+    lights = _mirrored_back(encoding.guesses.lights, encoding.mirrored)
+    return jnp.mean(lights, axis=0)
+
+
+def _mirrored_back(vectors: Array, mirrored: Array) -> Array:
+    """Vectors `[V, K, 3]` of each view, in the frame of the images."""
+    signs = jnp.where(mirrored[:, None], jnp.array([[-1, 1, 1]]), 1)
+    return vectors * signs[:, None].astype(vectors.dtype)
 
 
 def read_contexts(

@@ -43,11 +43,13 @@ class Views(NamedTuple):
     Attributes:
         images: `[V, N, s, s, 4]`, normalised RGB times mask, and the mask.
         frame: where they are in the image, or in the mirrored image, `[V]` each.
+        mirrored: `[V]`, bool: which views are of the mirrored images.
         width: columns of the image, int32.
     """
 
     images: Array
     frame: Frame
+    mirrored: Array
     width: Array
 
 
@@ -70,9 +72,11 @@ def make_views(
         seen = canonical_images(images[:, :, ::step], inside, frame, size, antialias)
         return seen, frame
 
-    views = [view(step) for step in _steps(config)]
+    steps = _steps(config)
+    views = [view(step) for step in steps]
     seen, frame = jax.tree.map(lambda *view: jnp.stack(view), *views)
-    return Views(seen, frame, jnp.asarray(mask.shape[1], jnp.int32))
+    mirrored = jnp.array([step < 0 for step in steps])
+    return Views(seen, frame, mirrored, jnp.asarray(mask.shape[1], jnp.int32))
 
 
 def photograph_views(
@@ -118,8 +122,8 @@ def photograph_views(
             seen[v, i] = _seen(resized, inside, frame, gains[i], config.antialias)
         frames.append(frame)
     frame = jax.tree.map(lambda *view: np.stack(view), *frames)
-    width: Any = np.int32(mask.shape[1])
-    return Views(cast(Array, seen), frame, width), gains
+    mirrored, width = np.array([step < 0 for step in steps]), np.int32(mask.shape[1])
+    return Views(*cast(Any, (seen, frame, mirrored, width))), gains
 
 
 def _steps(config: ModelConfig) -> tuple[int, ...]:

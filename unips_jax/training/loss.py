@@ -257,7 +257,7 @@ def _prepare(
         true = jnp.concatenate([ops.normalize(small_true).reshape(-1, 3), true])
         weights = jnp.concatenate([mean_weights(small[0, ..., 3].reshape(-1)), weights])
     return _Prepared(
-        Views(seen, frame, jnp.asarray(width, jnp.int32)),
+        Views(seen, frame, jnp.zeros((), bool), jnp.asarray(width, jnp.int32)),
         jnp.swapaxes(observed, 0, 1),
         cells=context_cells(index // width, index % width, frame, config),
         true=true,

@@ -1,0 +1,137 @@
+"""Programs kept between runs, so that nothing is traced a second time.
+
+JAX keeps what it compiled, but traces a function anew in every process, which takes
+longer than running it. A traced program is kept here beside the compilations, as
+`jax.export` writes it: data that is read, never code that runs when it is read.
+
+A program is found by its function, the code that it follows from, shapes and types, the
+network's configuration, JAX's version and flags. What is damaged, or is not this user's
+file, is ignored. Programs are kept only where JAX's compilations are
+(`console.keep_compiled`).
+"""
+
+import contextlib
+import functools
+import hashlib
+import os
+import struct
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.export
+import numpy as np
+
+from unips_jax.errors import InputError
+from unips_jax.io.claims import write_whole
+from unips_jax.version import __version__
+
+# The most programs that are kept, of half a megabyte each; the oldest go first.
+_MOST = 64
+# Of JAX's configuration, what changes a program.
+_FLAGS = (
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_default_device",
+    "jax_compilation_cache_dir",
+)
+# Bytes of the sum that a file begins with.
+_SUM = 32
+_PACKAGE = Path(__file__).parents[1]
+
+
+def kept(
+    function: Callable[..., tuple[Any, ...]], *, rarely_run: bool = False
+) -> Callable[..., tuple[Any, ...]]:
+    """`jax.jit`, whose programs are kept between runs.
+
+    Args:
+        function: of pytrees of arrays, and of static keyword arguments; returns a tuple
+            of arrays.
+        rarely_run: compile it in three quarters of the time, to a program that is no
+            slower as long as products take most of it.
+    """
+    name = f"{function.__module__}.{function.__qualname__}"
+    lock = threading.Lock()
+
+    @functools.cache
+    def program(
+        tree: Any, shapes: tuple[Any, ...], static: Any, flags: Any
+    ) -> Callable[..., Any]:
+        arrays = [jax.ShapeDtypeStruct(*shape) for shape in shapes]
+
+        def flat(*leaves: Any) -> tuple[Any, ...]:
+            return function(*jax.tree.unflatten(tree, leaves), **dict(static))
+
+        place = _place(name, tree, shapes, static, flags)
+        traced = jax.jit(flat)
+        if place is not None:
+            exported = _read(place)
+            if exported is None:
+                exported = jax.export.export(traced)(*arrays)
+                _write(place, exported)
+            traced = jax.jit(exported.call)
+        less = rarely_run and jax.default_backend() == "cpu"
+        options: Any = {"xla_backend_optimization_level": 1} if less else None
+        return traced.lower(*arrays).compile(options)
+
+    def run(*arguments: Any, **static: Any) -> tuple[Any, ...]:
+        leaves, tree = jax.tree.flatten(arguments)
+        shapes = tuple((np.shape(x), np.dtype(x.dtype)) for x in leaves)
+        with lock:  # threads wait for one compilation
+            facts = tuple(sorted(static.items())), _flags()
+            compiled = program(tree, shapes, *facts)
+        return compiled(*leaves)
+
+    return run
+
+
+def _place(name: str, *facts: Any) -> Path | None:
+    """The file of a program, if there is a folder for it."""
+    folder = getattr(jax.config, "jax_compilation_cache_dir", None)
+    if not folder:
+        return None
+    digest = hashlib.blake2b(digest_size=16)
+    known = (name, *facts, jax.default_backend(), jax.__version__, __version__, _code())
+    for fact in known:
+        digest.update(f"{fact}\n".encode())
+    return Path(folder) / "programs" / f"{digest.hexdigest()}.jax"
+
+
+def _flags() -> tuple[str, ...]:
+    return tuple(str(getattr(jax.config, name, None)) for name in _FLAGS)
+
+
+@functools.cache
+def _code() -> str:
+    """A hash of all code that a program may follow from."""
+    digest = hashlib.blake2b(digest_size=16)
+    files = [*_PACKAGE.glob("models/*.py"), *_PACKAGE.glob("estimation/*.py")]
+    for file in sorted(files):
+        digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def _read(place: Path) -> Any:
+    """A kept program, or None: where it is absent, damaged, or another user's."""
+    with contextlib.suppress(OSError, ValueError, ImportError, struct.error):
+        if hasattr(os, "getuid") and place.stat().st_uid != os.getuid():
+            return None
+        data = place.read_bytes()
+        if hashlib.sha256(data[_SUM:]).digest() == data[:_SUM]:
+            os.utime(place)
+            return jax.export.deserialize(bytearray(data[_SUM:]))
+    return None
+
+
+def _write(place: Path, exported: Any) -> None:
+    """Keeps a program, if that is possible: nothing depends on it."""
+    with contextlib.suppress(OSError, InputError, ImportError, ValueError):
+        data = bytes(exported.serialize())
+        place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_whole(place, hashlib.sha256(data).digest() + data)
+        files = place.parent.glob("*.jax")
+        for file in sorted(files, key=lambda file: file.stat().st_mtime)[:-_MOST]:
+            file.unlink(missing_ok=True)
