@@ -42,8 +42,8 @@ from unips_jax.evaluation.benchmarks.base import Item
 from unips_jax.evaluation.benchmarks.diligent import Diligent
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest
 from unips_jax.io.images import read_image_file
-from unips_jax.lighting.files import base_color
-from unips_jax.lighting.lights import estimate_lights
+from unips_jax.lighting.light_files import base_color
+from unips_jax.lighting.light_fit import estimate_lights
 from unips_jax.lighting.ptm import fit_texture_map, write_ptm
 from unips_jax.scenes import SceneConfig
 from unips_jax.scenes.config import LIGHT_KINDS

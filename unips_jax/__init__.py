@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.evaluation.figures import load_results
     from unips_jax.io.photographs import read_photographs
-    from unips_jax.lighting.lights import estimate_lights
+    from unips_jax.lighting.light_fit import estimate_lights
     from unips_jax.lighting.relight import DistantLights, Materials, relight
     from unips_jax.metrics import angular_error_deg
     from unips_jax.models.config import ModelConfig
@@ -64,7 +64,7 @@ _MODULES = {
     "UniversalNetwork": "models.network",
     "angular_error_deg": "metrics",
     "cache_compilations": "console",
-    "estimate_lights": "lighting.lights",
+    "estimate_lights": "lighting.light_fit",
     "estimate_normals": "estimation.pure",
     "estimate_photographs": "estimation.streaming",
     "integrate_image": "surface.images",

@@ -19,7 +19,7 @@ from unips_jax.console import parse
 from unips_jax.cycles.blender_process import find_python
 from unips_jax.errors import InputError
 from unips_jax.io.normals import write_normals
-from unips_jax.surface.files import write_depth
+from unips_jax.surface.depth_files import write_depth
 
 ADDON = Path(__file__).resolve().parents[2] / "integrations" / "blender"
 SIZE = 64

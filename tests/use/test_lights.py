@@ -18,9 +18,9 @@ from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.photographs import read_photographs, select
 from unips_jax.lighting import ptm
-from unips_jax.lighting.files import base_color, write_base_color, write_lights
 from unips_jax.lighting.harmonics import COSINE_LOBE, harmonics
-from unips_jax.lighting.lights import irradiance
+from unips_jax.lighting.light_files import base_color, write_base_color, write_lights
+from unips_jax.lighting.light_fit import irradiance
 from unips_jax.weights import save_weights
 
 NORMALS, MASK, _ = hemisphere(40)
@@ -122,7 +122,7 @@ def test_base_colour_without_highlights_and_seams(tmp_path, monkeypatch):
     truth = truth / np.square(texture()[MASK]).sum()
     error = np.abs(whole[MASK] / truth - 1)  # measured: 0.015 and 0.12
     assert np.median(error) < 0.04 and np.quantile(error, 0.9) < 0.16
-    monkeypatch.setattr("unips_jax.lighting.lights._STRIP", 7 * 5 * 40)
+    monkeypatch.setattr("unips_jax.lighting.light_fit._STRIP", 7 * 5 * 40)
     np.testing.assert_allclose(base_color(images, NORMALS, MASK, lights), whole, 1e-6)
     write_base_color(tmp_path, images, NORMALS, MASK, lights)
     picture = cv2.imread(str(tmp_path / "base_color.png"), cv2.IMREAD_UNCHANGED)

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from unips_jax.errors import InputError
-from unips_jax.surface.files import write_depth
+from unips_jax.surface.depth_files import write_depth
 from unips_jax.surface.mesh import mesh_of_depth, write_mesh
 
 trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")

@@ -44,7 +44,7 @@ class Options:
             from the upper left, unless there is an environment.
         environment: an equirectangular picture, best .hdr or .exr; its middle is behind
             the object.
-        yaw: turn the environment by so many degrees, counter-clockwise from above.
+        yaw: turn the environment by that many degrees, counter-clockwise from above.
         turn: also write a moving picture.
         frames: of it.
         fps: its frames per second.
@@ -52,7 +52,7 @@ class Options:
             without any the surface is grey.
         roughness: of the whole surface.
         metallic: of the whole surface.
-        exposure: brighter by so many stops than the image whose brightest half a
+        exposure: this many stops brighter than the image whose brightest half a
             percent is just below white.
         normal_map: green is up (opengl) or down (directx), down and blue away from the
             viewer (opencv), or red to the left (x-left).
@@ -136,8 +136,11 @@ def _check(options: Options) -> None:
                 f"--light: expected a direction, not 0, got {options.light}"
             )
     for name, low, high in (
-        *(("roughness", 0.03, 1.0), ("metallic", 0.0, 1.0)),
-        *(("frames", 2, 10000), ("fps", 0.1, 1000), ("exposure", -20, 20)),
+        ("roughness", 0.03, 1.0),
+        ("metallic", 0.0, 1.0),
+        ("frames", 2, 10000),
+        ("fps", 0.1, 1000),
+        ("exposure", -20, 20),
     ):
         value = getattr(options, name)
         if not low <= value <= high:

@@ -27,10 +27,11 @@ from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap, read_numbers
 from unips_jax.io.record import print_line
 from unips_jax.io.results import appearing_at_once, check_target
-from unips_jax.surface.files import read_depth
+from unips_jax.surface.depth_files import read_depth
 from unips_jax.surface.mesh import check_mesh_file
 from unips_jax.surface.outputs import (
     MeshFormat,
+    SurfaceOptions,
     focal_of,
     photograph_colors,
     print_surface,
@@ -63,8 +64,8 @@ class Options:
             (perspective), in the unit.
         unit: of the scale, such as mm.
         mesh: also write a mesh.
-        max_faces: simplify the mesh to so many triangles.
-        cut: leave out triangles that range over more than so many pixels in depth.
+        max_faces: simplify the mesh to this many triangles.
+        cut: leave out triangles that range over more than this many pixels in depth.
     """
 
     normals: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="NORMALS")]
@@ -119,15 +120,17 @@ def main(argv: Sequence[str] | None = None) -> None:
             place,
             normals,
             mask,
-            focal=focal,
+            SurfaceOptions(
+                focal=focal,
+                prior_weight=options.prior_weight,
+                sharpness=options.sharpness,
+                scale=options.scale,
+                unit=options.unit,
+                mesh=options.mesh,
+                max_faces=options.max_faces,
+                cut=options.cut,
+            ),
             prior=prior,
-            prior_weight=options.prior_weight,
-            sharpness=options.sharpness,
-            scale=options.scale,
-            unit=options.unit,
-            mesh=options.mesh,
-            max_faces=options.max_faces,
-            cut=options.cut,
             colors=colors,
             progress=lambda share: report(round(100 * share), 100),
         )

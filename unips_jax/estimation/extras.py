@@ -15,7 +15,7 @@ import numpy as np
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import write_exr, write_image
-from unips_jax.lighting.lights import Lights
+from unips_jax.lighting.light_fit import Lights
 
 if TYPE_CHECKING:
     from unips_jax.estimation.streaming import NormalsAndLights
@@ -59,7 +59,7 @@ def estimate_extras(
     """
     lights, confidence = None, None
     if options.lights or options.base_color or options.rti:
-        from unips_jax.lighting.lights import estimate_lights
+        from unips_jax.lighting.light_fit import estimate_lights
 
         lights = estimate_lights(
             images, found.normals, mask, guesses=found.lights, transfer=transfer
@@ -107,7 +107,7 @@ def write_extras(
     facts: dict[str, Any] = {}
     lights = extras.lights
     if lights is not None:
-        from unips_jax.lighting.files import write_base_color, write_lights
+        from unips_jax.lighting.light_files import write_base_color, write_lights
         from unips_jax.lighting.ptm import fit_texture_map, write_planes, write_ptm
 
         if options.lights:

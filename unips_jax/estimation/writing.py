@@ -15,7 +15,12 @@ from unips_jax.io.normals import write_normals
 from unips_jax.io.record import print_line, summary
 from unips_jax.io.results import appearing_at_once, write_record
 from unips_jax.pictures.estimate_sheet import write_sheet
-from unips_jax.surface.outputs import mean_colors, print_surface, write_surface
+from unips_jax.surface.outputs import (
+    SurfaceOptions,
+    mean_colors,
+    print_surface,
+    write_surface,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,8 +103,7 @@ def write_estimate(
                 place,
                 estimate.normals,
                 estimate.mask,
-                focal=estimate.focal,
-                mesh=options.mesh,
+                SurfaceOptions(focal=estimate.focal, mesh=options.mesh),
                 colors=colors,
             )
             if verbose:
@@ -128,7 +132,7 @@ def _write_view(
     place: Path, title: str, estimate: Estimate, record: dict[str, Any]
 ) -> None:
     """Writes `view.html`; its depth is that of the files, if there is one."""
-    from unips_jax.surface.files import read_depth
+    from unips_jax.surface.depth_files import read_depth
     from unips_jax.viewer.page import with_depth, write_view
     from unips_jax.viewer.result import Result, maps_of, photographs_of
 

@@ -27,7 +27,7 @@ import numpy as np
 import simplejpeg
 
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
-from unips_jax.lighting.lights import Lights, irradiance, strips
+from unips_jax.lighting.light_fit import Lights, irradiance, strips
 
 _WHITE = 0.95  # what the brightest half a percent is brought to, linear
 _RIDGE = 1e-3  # for photographs that are few, or whose lights are alike

@@ -19,7 +19,7 @@ side, and a weight chooses between the sides: in u
     E = sum w (m (d_right - d) - n_x)^2 + (1 - w) (m (d - d_left) - n_x)^2,
     w = sigmoid(k (m (d - d_left))^2 - k (m (d_right - d))^2),
 
-and alike in v. Where the depth jumps to one side, the pixel follows the other. For
+and the same in v. Where the depth jumps to one side, the pixel follows the other. For
 fixed weights E is a sum over the edges between neighbours: a weighted graph Laplacian.
 
 Source: Cao, Santo, Shi, Okura, Matsushita, "Bilateral Normal Integration" (ECCV 2022),
@@ -40,7 +40,7 @@ _LEAST = 0.005  # of m: bounds what a noisy normal near 90 degrees asks for
 
 
 class Statements(NamedTuple):
-    """What each pixel says of the depth around it, all `[H, W]`.
+    """What each pixel states of the depth around it, all `[H, W]`.
 
     Attributes:
         m: cosine-like factor of the differences, above 0.
@@ -73,7 +73,7 @@ def statements(
     focal: jax.Array | float | None,
     principal_point: tuple[jax.Array | float, jax.Array | float] | None,
 ) -> Statements:
-    """Reads the normals.
+    """What normals state of the depth; harmless where there is none.
 
     Args:
         normals: `[H, W, 3]`; lengths do not matter, but NaN and 0 are holes.
@@ -81,9 +81,6 @@ def statements(
         focal: in pixels, None for an orthographic camera.
         principal_point: column and row in pixels, (0, 0) the centre of the first
             pixel; None for the middle of the image.
-
-    Returns:
-        The statements; those of pixels that are not inside are harmless.
     """
     normals = normals.astype(jnp.float32)
     inside = mask & jnp.isfinite(normals).all(-1) & (jnp.abs(normals).max(-1) > 0)
@@ -106,45 +103,39 @@ def links(inside: jax.Array) -> Edges:
 
 
 def differences(depth: jax.Array) -> Edges:
-    """Each neighbour's value minus the pixel's own; what has no neighbour is minus it.
-
-    Args:
-        depth: `[H, W]`.
-    """
+    """Each neighbour's value minus the pixel's own; without a neighbour, minus that."""
     return Edges(to_left(depth) - depth, to_top(depth) - depth)
 
 
 def balance(flow: Edges) -> jax.Array:
     """What flows into each pixel from left and top minus what flows out: `[H, W]`.
 
-    The transpose of `differences`, up to the edges that leave the image.
-
-    Args:
-        flow: along each edge, 0 where there is none.
+    The transpose of `differences`, up to the edges that leave the image. The flow is 0
+    where there is no edge.
     """
     across = to_right(flow.right) - flow.right
     return across + to_bottom(flow.down) - flow.down
 
 
 def system(
-    said: Statements, depth: jax.Array, sharpness: jax.Array | float
+    stated: Statements, depth: jax.Array, sharpness: jax.Array | float
 ) -> tuple[Edges, Edges]:
     """The weighted least squares around a depth.
 
     Args:
-        said: the statements.
+        stated: by the normals.
         depth: `[H, W]`, decides the weights.
         sharpness: k of the weights; 0 makes them equal.
 
     Returns:
         For each edge its stiffness and the difference it asks for; 0 outside.
     """
-    linked, step = links(said.inside), differences(depth)
+    linked, step = links(stated.inside), differences(depth)
     right = _axis(
-        said.m, said.right, linked.right, step.right, to_left, to_right, sharpness
+        stated.m, stated.right, linked.right, step.right, to_left, to_right, sharpness
     )
     down = _axis(
-        said.m, said.down, linked.down, step.down, to_top, to_bottom, sharpness
+        stated.m, stated.down, linked.down, step.down, to_top, to_bottom, sharpness
     )
     return Edges(right[0], down[0]), Edges(right[1], down[1])
 

@@ -18,14 +18,14 @@ from unips_jax.surface.integrate import (
     PRIOR_WEIGHT,
     SHARPNESS,
     Prior,
+    Solve,
     check_shapes,
     finish,
     read_prior,
     reweight,
 )
 
-_TOLERANCE = 1e-2  # of each linear solve: the next round mends what is left
-_MAX_STEPS = 50
+_SOLVE = Solve(tolerance=1e-2, max_steps=50)  # the next round mends what is left
 _SETTLED = 0.01  # pixels
 _MULTIPLE = 64  # sizes are padded to it, so that fewer of them are compiled
 
@@ -59,23 +59,20 @@ def integrate_image(
     max_rounds: int = 50,
     progress: Callable[[float], None] | None = None,
 ) -> Integration:
-    """Integrates an image of normals.
+    """Integrates an image of normals, as `integrate_normals` does.
 
     Args:
-        normals: `[H, W, 3]`, as for `integrate_normals`.
+        normals: `[H, W, 3]`.
         mask: `[H, W]`, above 0 where there is a surface; None: where normals are
             neither 0 nor NaN.
-        focal: as there, in pixels.
-        principal_point: as there, in pixels of this image.
-        prior: as there.
-        prior_weight: as there, a number.
-        sharpness: as there.
+        focal: see there.
+        principal_point: see there, in pixels of this image.
+        prior: see there.
+        prior_weight: a number.
+        sharpness: see there.
         max_rounds: bound on the rounds of reweighting, which end when depth changes by
             less than 0.01 pixels (mean of absolute values); 0 for plain least squares.
         progress: called with the fraction done.
-
-    Returns:
-        The depth and how it was found.
 
     Raises:
         ValueError: if shapes or values are not as described.
@@ -96,24 +93,26 @@ def integrate_image(
     height, width = mask.shape
     column, row = principal_point or ((width - 1) / 2, (height - 1) / 2)
     camera = (focal, (column - box[1].start, row - box[0].start))
-    said, known, shift = _start(
+    stated, known, shift = _start(
         jnp.asarray(_padded(normals[box].astype(np.float32))),
         jnp.asarray(_padded(inside[box])),
         None if prior is None else jnp.asarray(_padded(prior[box].astype(np.float32))),
         prior_weight,
         *camera,
     )
-    depth_px, _ = _round(said, known, jnp.zeros_like(said.m), 0.0)
+    depth_px, _ = _round(stated, known, jnp.zeros_like(stated.m), 0.0)
     rounds, change = 0, 0.0
     for rounds in range(1, max_rounds + 1):
-        depth_px, moved = _round(said, known, depth_px, sharpness)
+        depth_px, moved = _round(stated, known, depth_px, sharpness)
         change = float(moved)
         if progress is not None:
             progress(rounds / max_rounds)
         if change < _SETTLED:
             break
     labels, islands = scipy.ndimage.label(_padded(inside[box]))
-    found = _finish(depth_px, said.inside, known, shift, labels.astype(np.int32), focal)
+    found = _finish(
+        depth_px, stated.inside, known, shift, labels.astype(np.int32), focal
+    )
     crop = np.asarray(found)[: inside[box].shape[0], : inside[box].shape[1]]
     depth[box] = np.where(inside[box], crop, np.nan)
     if progress is not None:
@@ -150,19 +149,19 @@ def _start(
     focal: float | None,
     principal_point: tuple[float, float],
 ) -> tuple[Statements, Prior, jax.Array]:
-    said = statements(normals, inside, focal, principal_point)
-    known, shift = read_prior(prior, prior_weight, said.inside, focal)
-    return said, known, shift
+    stated = statements(normals, inside, focal, principal_point)
+    known, shift = read_prior(prior, prior_weight, stated.inside, focal)
+    return stated, known, shift
 
 
 @jax.jit
 def _round(
-    said: Statements, known: Prior, depth: jax.Array, sharpness: float
+    stated: Statements, known: Prior, depth: jax.Array, sharpness: float
 ) -> tuple[jax.Array, jax.Array]:
-    new = reweight(said, known, depth, sharpness, _TOLERANCE, _MAX_STEPS)
+    new = reweight(stated, known, depth, sharpness, _SOLVE)
     # The mean: normals of noisy silhouettes never settle, and would rule the square.
-    moved = jnp.where(said.inside, jnp.abs(new - depth), 0)
-    return new, moved.sum() / said.inside.sum()
+    moved = jnp.where(stated.inside, jnp.abs(new - depth), 0)
+    return new, moved.sum() / stated.inside.sum()
 
 
 _finish = jax.jit(finish)

@@ -23,8 +23,22 @@ from unips_jax.surface.equations import (
 from unips_jax.surface.islands import island_means, label_islands
 from unips_jax.surface.multigrid import Springs, solve
 
+
+class Solve(NamedTuple):
+    """When a linear solve ends.
+
+    Attributes:
+        tolerance: of the residual, relative.
+        max_steps: of conjugate gradients.
+    """
+
+    tolerance: float
+    max_steps: int
+
+
 SHARPNESS = 2.0  # k of the paper
 PRIOR_WEIGHT = 1e-4
+_SOLVE = Solve(tolerance=1e-5, max_steps=100)
 _FAINT = 1e-5  # stiffness added to every edge of the matrix, not of the equations
 
 
@@ -50,8 +64,6 @@ def integrate_normals(
     prior_weight: jax.Array | float = PRIOR_WEIGHT,
     sharpness: jax.Array | float = SHARPNESS,
     rounds: int = 20,
-    tolerance: float = 1e-5,
-    max_steps: int = 100,
 ) -> jax.Array:
     """Depth whose surface has these normals; breaks where they say that it breaks.
 
@@ -70,13 +82,11 @@ def integrate_normals(
         prior: `[H, W]`, depth in the result's convention and the user's unit (an
             orthographic one in pixels), NaN where unknown.
         prior_weight: a number or `[H, W]`: of the squared difference to the prior,
-            beside the normals' squared error of slope. The prior decides over
+            next to the normals' squared error of slope. The prior decides over
             distances above about `prior_weight ** -0.5` pixels, the normals below.
         sharpness: of the choice between a pixel's two sides; 0 gives plain least
             squares, which bridges jumps.
         rounds: of reweighting, after the first solve with equal weights.
-        tolerance: of each linear solve's residual, relative.
-        max_steps: bound on the conjugate gradient steps of each solve.
 
     Returns:
         `[H, W]`, float32, growing away from the viewer. Orthographic: in pixels, mean
@@ -90,32 +100,23 @@ def integrate_normals(
     check_shapes(normals.shape, mask.shape, None if prior is None else prior.shape)
     if rounds < 0:
         raise ValueError(f"rounds: expected 0 or more, got {rounds}")
-    said = statements(normals, mask > 0, focal, principal_point)
-    known, shift = read_prior(prior, prior_weight, said.inside, focal)
+    stated = statements(normals, mask > 0, focal, principal_point)
+    known, shift = read_prior(prior, prior_weight, stated.inside, focal)
 
     def advance(depth, sharpness):
-        new = reweight(said, known, depth, sharpness, tolerance, max_steps)
+        new = reweight(stated, known, depth, sharpness, _SOLVE)
         return new, None
 
     sharpnesses = jnp.full(rounds + 1, sharpness, jnp.float32).at[0].set(0)
-    depth, _ = jax.lax.scan(advance, jnp.zeros_like(said.m), sharpnesses)
-    labels = label_islands(said.inside)
-    return finish(depth, said.inside, known, shift, labels, focal)
+    depth, _ = jax.lax.scan(advance, jnp.zeros_like(stated.m), sharpnesses)
+    labels = label_islands(stated.inside)
+    return finish(depth, stated.inside, known, shift, labels, focal)
 
 
 def check_shapes(
     normals: tuple[int, ...], mask: tuple[int, ...], prior: tuple[int, ...] | None
 ) -> None:
-    """Refuses shapes that do not fit.
-
-    Args:
-        normals: of the normals.
-        mask: of the mask.
-        prior: of the prior, if there is one.
-
-    Raises:
-        ValueError: naming the argument, expected and received.
-    """
+    """Raises ValueError for shapes that do not fit."""
     if len(mask) != 2 or 0 in mask:
         raise ValueError(f"mask: expected [H, W], at least one pixel, got {mask}")
     if normals != (*mask, 3):
@@ -157,31 +158,26 @@ def read_prior(
 
 
 def reweight(
-    said: Statements,
+    stated: Statements,
     prior: Prior,
     depth: jax.Array,
     sharpness: jax.Array | float,
-    tolerance: float,
-    max_steps: int,
+    until: Solve,
 ) -> jax.Array:
     """One round: weights from the depth, then the depth that is best for them.
 
     Args:
-        said: what the normals say.
+        stated: by the normals.
         prior: weight 0 where there is none.
         depth: `[H, W]`, in the unknown of the equations.
         sharpness: of the weights, 0 for equal ones.
-        tolerance: of the linear solve.
-        max_steps: of the linear solve.
-
-    Returns:
-        The new depth, `[H, W]`.
+        until: when the linear solve ends.
     """
-    stiffness, asked = system(said, depth, sharpness)
+    stiffness, asked = system(stated, depth, sharpness)
     faint = Edges(
         *(
             jnp.where(linked, each + _FAINT, 0)
-            for linked, each in zip(links(said.inside), stiffness, strict=True)
+            for linked, each in zip(links(stated.inside), stiffness, strict=True)
         )
     )
     step = differences(depth)
@@ -190,9 +186,7 @@ def reweight(
         stiffness.down * (asked.down - step.down),
     )
     force = balance(missing) + prior.weight * (prior.depth - depth)
-    change = solve(
-        Springs(faint, prior.weight), force, tolerance=tolerance, max_steps=max_steps
-    )
+    change = solve(Springs(faint, prior.weight), force, **until._asdict())
     return depth + change
 
 

@@ -48,7 +48,7 @@ def mesh_of_depth(
         focal: in pixels; None for an orthographic camera.
         principal_point: column and row; None for the middle of the image.
         pixel_size: side of a pixel in depth's unit; orthographic only.
-        cut: triangles whose depth ranges over more than so many pixels (at their
+        cut: triangles whose depth ranges over more than this many pixels (at their
             distance) are left out: jumps are not bridged. None keeps all.
 
     Returns:
@@ -91,8 +91,8 @@ def write_mesh(
             unit and sRGB.
         mesh: from `mesh_of_depth`.
         colors: `[H, W, 3]`, uint8, sRGB, of the image: colours of the vertices.
-        max_faces: simplified to so many triangles, if it has more (quadric error).
-        unit: of the vertices, said in the file.
+        max_faces: simplified to this many triangles, if it has more (quadric error).
+        unit: of the vertices, stated in the file.
 
     Returns:
         The number of triangles written.

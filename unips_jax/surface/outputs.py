@@ -1,5 +1,6 @@
 """From normals to a folder's files of depth and mesh, and what the record says."""
 
+import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_float, as_linear, srgb_encode
 from unips_jax.io.record import print_line
-from unips_jax.surface.files import write_depth
+from unips_jax.surface.depth_files import write_depth
 from unips_jax.surface.mesh import CUT, mesh_of_depth, write_mesh
 
 MeshFormat = Literal["ply", "obj", "glb"]
@@ -21,11 +22,8 @@ def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float 
 
     Args:
         asked: a number, "exif", or None.
-        exif: what the photograph's EXIF data tell.
+        exif: by the photograph's EXIF data, None if it is not in them.
         file: the photograph, if there is one.
-
-    Raises:
-        InputError: if it is neither, or the photograph does not tell.
     """
     if asked is None:
         return None
@@ -78,11 +76,7 @@ def mean_colors(images: np.ndarray, transfer: Transfer) -> np.ndarray:
 
 
 def print_surface(facts: dict[str, Any]) -> None:
-    """Prints what `write_surface` found.
-
-    Args:
-        facts: what it returned.
-    """
+    """Prints what `write_surface` returned."""
     reach = facts["far"] - facts["near"]
     print_line(
         "depth",
@@ -91,36 +85,14 @@ def print_surface(facts: dict[str, Any]) -> None:
     )
 
 
-def write_surface(
-    folder: Path,
-    normals: np.ndarray,
-    mask: np.ndarray | None = None,
-    *,
-    focal: float | None = None,
-    principal_point: tuple[float, float] | None = None,
-    prior: np.ndarray | None = None,
-    prior_weight: float = 1e-4,
-    sharpness: float = 2.0,
-    scale: float = 1.0,
-    unit: str | None = None,
-    mesh: MeshFormat | None = None,
-    max_faces: int | None = None,
-    cut: float = CUT,
-    colors: np.ndarray | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> dict[str, Any]:
-    """Integrates normals and writes depth, height and, on request, a mesh.
+@dataclasses.dataclass(frozen=True)
+class SurfaceOptions:
+    """How normals become a surface, and which files it becomes.
 
-    Args:
-        folder: where; it exists.
-        normals: `[H, W, 3]`, as for `integrate_image`, and so are the arguments up to
-            `sharpness`.
-        mask: as there.
-        focal: as there.
-        principal_point: as there.
-        prior: as there.
-        prior_weight: as there.
-        sharpness: as there.
+    Attributes:
+        focal: in pixels; None for an orthographic camera.
+        prior_weight: see `integrate_image`.
+        sharpness: see `integrate_image`.
         scale: what one unit of `integrate_image`'s depth is in the files' unit: of a
             pixel's side (orthographic), of each island's mean distance (perspective),
             of the prior's unit (perspective with a prior).
@@ -128,7 +100,37 @@ def write_surface(
         mesh: format, if there is to be one.
         max_faces: see `write_mesh`.
         cut: see `mesh_of_depth`.
-        colors: `[H, W, 3]`, uint8, sRGB: the mesh's colours.
+    """
+
+    focal: float | None = None
+    prior_weight: float = 1e-4
+    sharpness: float = 2.0
+    scale: float = 1.0
+    unit: str | None = None
+    mesh: MeshFormat | None = None
+    max_faces: int | None = None
+    cut: float = CUT
+
+
+def write_surface(
+    folder: Path,
+    normals: np.ndarray,
+    mask: np.ndarray | None = None,
+    options: SurfaceOptions = SurfaceOptions(),
+    *,
+    prior: np.ndarray | None = None,
+    colors: np.ndarray | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Integrates normals and writes depth, height and, on request, a mesh.
+
+    Args:
+        folder: where; it exists.
+        normals: `[H, W, 3]`, as for `integrate_image`.
+        mask: see there.
+        options: how, and which files.
+        prior: see `integrate_image`.
+        colors: `[H, W, 3]`, uint8 or uint16, sRGB: the mesh's colours.
         progress: called with the fraction of the integration done.
 
     Returns:
@@ -143,11 +145,10 @@ def write_surface(
     found = integrate_image(
         normals,
         mask,
-        focal=focal,
-        principal_point=principal_point,
+        focal=options.focal,
         prior=prior,
-        prior_weight=prior_weight,
-        sharpness=sharpness,
+        prior_weight=options.prior_weight,
+        sharpness=options.sharpness,
         progress=progress,
     )
     if not found.islands:
@@ -155,30 +156,29 @@ def write_surface(
             "expected normals inside the mask, got none; give normals that are not 0 "
             "there, or another mask"
         )
+    unit = options.unit
     if unit is None:
         own = "prior's units" if prior is not None else "mean distances"
-        unit = "pixels" if focal is None else own
-    depth = found.depth * np.float32(scale)
+        unit = "pixels" if options.focal is None else own
+    depth = found.depth * np.float32(options.scale)
     facts: dict[str, Any] = {
-        "camera": "orthographic" if focal is None else "perspective",
-        "focal_px": focal,
-        "principal_point": principal_point,
+        "camera": "orthographic" if options.focal is None else "perspective",
+        "focal_px": options.focal,
         "islands": found.islands,
         "rounds": found.rounds,
         "last_change_px": found.last_change_px,
-        "scale": scale,
+        "scale": options.scale,
         **write_depth(folder, depth, unit=unit),
     }
-    if mesh is not None:
+    if options.mesh is not None:
         shape = mesh_of_depth(
-            depth,
-            focal=focal,
-            principal_point=principal_point,
-            pixel_size=scale,
-            cut=cut,
+            depth, focal=options.focal, pixel_size=options.scale, cut=options.cut
         )
-        path = folder / f"mesh.{mesh}"
         facts["faces"] = write_mesh(
-            path, shape, colors=colors, max_faces=max_faces, unit=unit
+            folder / f"mesh.{options.mesh}",
+            shape,
+            colors=colors,
+            max_faces=options.max_faces,
+            unit=unit,
         )
     return facts

@@ -14,7 +14,7 @@ from unips_jax.io.color import Transfer, as_linear
 from unips_jax.io.images import read_bytes, read_image_file
 from unips_jax.io.normal_maps import read_normal_map
 from unips_jax.io.results import RECORD, read_record
-from unips_jax.surface.files import read_depth
+from unips_jax.surface.depth_files import read_depth
 
 
 @dataclasses.dataclass(frozen=True)

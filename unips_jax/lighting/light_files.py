@@ -16,7 +16,7 @@ import numpy as np
 
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
 from unips_jax.io.images import write_exr, write_image
-from unips_jax.lighting.lights import (
+from unips_jax.lighting.light_fit import (
     Lights,
     Scales,
     albedo_scales,

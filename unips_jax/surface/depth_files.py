@@ -55,7 +55,7 @@ def write_depth(folder: Path, depth: np.ndarray, *, unit: str) -> dict[str, Any]
     Args:
         folder: where; it exists.
         depth: `[H, W]`, float32, NaN where there is no surface.
-        unit: of the depth, said in the files.
+        unit: of the depth, stated in the files.
 
     Returns:
         For the record: the unit, nearest and farthest depth, and what each level of
