@@ -1,178 +1,301 @@
-"""What the application does with photographs, each in a process of its own.
+"""What the application does with photographs, each call in a `Worker`'s process.
 
-These call what the commands call: `unips_jax.estimation.folders`, `io`, `capture`.
+These call what the commands call: `unips_jax.estimation`, `io`, `capture`.
 """
 
 import dataclasses
+import functools
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from unips_jax.app.child import Report
+from unips_jax.app.worker import Report
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
 from unips_jax.io.images import read_image_file, write_image
-from unips_jax.io.selection import select
 
-_THUMBNAIL, _PICTURE = 160, 1024
+_THUMBNAIL, _PICTURE = 240, 1024
 _DRAWN_BYTES = 8_000_000
-RESULT_FILES = (
-    "view.html",
-    "normals.png",
-    "normals.npy",
-    "depth.exr",
-    "depth.png",
-    "height.png",
-    "mesh.glb",
-    "sheet.png",
-    "normals.json",
-)
 
 
 @dataclasses.dataclass(frozen=True)
 class Choices:
-    """What the visitor chose.
+    """What the visitor may choose of `FolderOptions`.
 
     Attributes:
-        transfer: how photographs encode light.
         perspective: depth as of a camera with the focal length of the EXIF data.
-        mask: "drawn": the picture that was drawn; "none": the whole image.
-        mesh: also a mesh.
+        mesh: GLB, with the object's colours.
     """
 
     transfer: str = "auto"
     perspective: bool = False
-    mask: str = "drawn"
+    register: bool = False
     mesh: bool = True
+    lights: bool = False
+    base_color: bool = False
+    rti: bool = False
+    confidence: bool = False
 
 
-def inspect(
-    folder: Path, about: Path, max_pixels: int, *, report: Report
+@dataclasses.dataclass(frozen=True)
+class Chosen:
+    """Files of an object's folder: the photographs, their mask, and what is not used.
+
+    Attributes:
+        mask: of the folder, or None.
+    """
+
+    folder: Path
+    photographs: tuple[str, ...]
+    mask: str | None
+    aside: tuple[str, ...]
+
+    def options(self, mask: Any, max_pixels: int, **more: Any) -> Any:
+        """`FolderOptions` by which these files and no others are taken."""
+        from unips_jax.estimation.options import FolderOptions
+
+        if mask == "auto" and self.mask:
+            mask = self.folder / self.mask
+        return FolderOptions(
+            mask=mask,
+            include=self.photographs,
+            exclude=self.aside,
+            max_pixels=max_pixels,
+            **more,
+        )
+
+
+def look(
+    photograph: Path, thumbnail: Path, max_pixels: int, *, report: Report
 ) -> dict[str, Any]:
-    """Reads photographs, and tells what is in them.
+    """Decodes a photograph, and writes a small picture of it.
+
+    Returns:
+        Its facts; of a video or a TIFF of several pages the "frames": files that take
+        its place in its folder.
+
+    Raises:
+        InputError: if it can't be read.
+    """
+    from unips_jax.capture.unpack import is_container
+
+    if is_container(photograph):
+        frames = _unpack(photograph, max_pixels)
+        if frames:
+            return {"frames": frames}
+    file = read_image_file(photograph, max_pixels=max_pixels)
+    transfer = file.encoding.transfer
+    write_image(thumbnail, _small_picture(file.pixels, transfer))
+    return {
+        "width": file.header.width,
+        "height": file.header.height,
+        "type": str(file.pixels.dtype),
+        "transfer": transfer,
+    }
+
+
+def _unpack(container: Path, max_pixels: int) -> list[str]:
+    """Puts a file's frames beside it; gives their names, none for a plain TIFF."""
+    from unips_jax.capture.unpack import unpacked
+    from unips_jax.io.naming import VIDEO_SUFFIXES
+
+    try:
+        with unpacked(container, max_pixels=max_pixels) as folder:
+            files = sorted(folder.iterdir())
+            names = [f"{container.stem}_{file.name}" for file in files]
+            for file, name in zip(files, names, strict=True):
+                shutil.move(file, container.with_name(name))
+    except InputError:
+        if container.suffix.lower() in VIDEO_SUFFIXES:
+            raise
+        return []  # one photograph, or damaged: its reader says what is wrong
+    return names
+
+
+def gather(
+    chosen: Chosen,
+    pictures: Path,
+    options: dict[str, Any],
+    max_pixels: int,
+    *,
+    report: Report,
+) -> dict[str, Any]:
+    """Reads the photographs together, and looks for what is wrong with them.
+
+    What can't be used with the others is left out.
 
     Args:
-        folder: of the photographs.
-        about: folder for pictures: `thumbnail-0.jpg`, ..., `picture.jpg` to draw the
-            mask over, and `mask.png`, of its size, if one is given or suggested.
+        chosen: the files.
+        pictures: receives `picture.jpg`, to draw the mask over, and `mask.png`, of its
+            size, if one is given or suggested.
+        options: of `FolderOptions`: transfer, register.
         max_pixels: of a photograph.
         report: of progress.
 
-    Returns:
-        Names, size, transfer and its reason, focal length, and where the mask is from.
-
     Raises:
-        InputError: if they cannot be used.
+        InputError: if none can be used.
     """
     from unips_jax.capture.masks import mask_picture
-    from unips_jax.estimation.options import FolderOptions
     from unips_jax.estimation.reading import chosen_photographs, read_and_look
     from unips_jax.io.record import HashingReader
 
     report("reading", 0.0)
-    options = FolderOptions(max_pixels=max_pixels)
-    selection = chosen_photographs(folder, options)
-    reader = HashingReader(max_pixels)
-    looked = read_and_look(selection, options, reader, verbose=False)
+    refused: dict[str, str] = {}
+    while True:
+        how = chosen.options("auto", max_pixels, **options)
+        selection = chosen_photographs(chosen.folder, how)
+        try:
+            looked = read_and_look(
+                selection, how, HashingReader(max_pixels), verbose=False
+            )
+            break
+        except InputError as error:
+            name, text = _culprit(chosen, str(error))
+            if name is None or (name != chosen.mask and len(selection.files) < 2):
+                raise
+            refused[name] = text
+            chosen = _without(chosen, name)
     capture, mask_from = looked.capture, "file"
     if selection.mask_file is None:
         mask_from = "suggested" if looked.facts["mask_suggested"] else "none"
-    images, mask = capture.images, capture.mask
-    for index, image in enumerate(images):
-        picture = _small_picture(image, capture.transfer, _THUMBNAIL)
-        write_image(about / f"thumbnail-{index}.jpg", picture)
-    picture = _shrunk(mask_picture(images, transfer=capture.transfer), _PICTURE)
-    write_image(about / "picture.jpg", picture)
+    picture = _shrunk(mask_picture(capture.images, transfer=capture.transfer), _PICTURE)
+    write_image(pictures / "picture.jpg", picture)
     if mask_from != "none":
-        size = picture.shape[1::-1]
-        small = cv2.resize(255 * mask.astype(np.uint8), size)
-        write_image(about / "mask.png", np.where(small > 127, 255, 0).astype(np.uint8))
+        small = cv2.resize(255 * capture.mask.astype(np.uint8), picture.shape[1::-1])
+        _write_mask(pictures / "mask.png", small)
+    same = {
+        name: "same"
+        for reason, names in selection.left_out.items()
+        for name in names
+        if name in chosen.photographs and reason.startswith("the same")
+    }
+    height, width = capture.mask.shape
     return {
         "names": list(selection.names),
-        "width": mask.shape[1],
-        "height": mask.shape[0],
+        "refused": refused,
+        "same": same,
+        "width": width,
+        "height": height,
         "transfer": capture.transfer,
-        "transfer_rule": capture.transfer_rule,
         "focal": capture.focal,
         "mask": mask_from,
-        "contrast": capture.mask_contrast,
-        "warnings": looked.warnings,
+        "findings": looked.facts["findings"],
     }
 
 
-def cut(picture: Path, box: tuple[float, ...], target: Path, *, report: Report) -> None:
-    """Finds the object in a box by GrabCut.
+def _culprit(chosen: Chosen, text: str) -> tuple[str | None, str]:
+    """The file that an error names, and the rest of the error."""
+    for name in (*chosen.photographs, *([chosen.mask] if chosen.mask else [])):
+        start = f"{chosen.folder / name}: "
+        if text.startswith(start):
+            return name, text.removeprefix(start)
+    return None, text
 
-    Args:
-        picture: that the box was drawn over.
-        box: left, top, right, bottom in its pixels.
-        target: file for the mask, of the picture's size.
-        report: of progress.
+
+def _without(chosen: Chosen, name: str) -> Chosen:
+    return Chosen(
+        chosen.folder,
+        tuple(n for n in chosen.photographs if n != name),
+        None if name == chosen.mask else chosen.mask,
+        (*chosen.aside, name),
+    )
+
+
+def cut(picture: Path, box: Sequence[float], target: Path, *, report: Report) -> None:
+    """Finds the object in a box (left, top, right, bottom; pixels), by GrabCut.
 
     Raises:
         InputError: if nothing is found.
     """
     from unips_jax.capture.grabcut import grabcut_mask
 
-    mask = grabcut_mask(read_image_file(picture).pixels, box=box)
+    mask = grabcut_mask(read_image_file(picture).pixels, box=tuple(box))
     write_image(target, 255 * mask.astype(np.uint8))
 
 
+@functools.lru_cache(maxsize=1)
+def _network(weights: str) -> Any:
+    from unips_jax.console import start_jax
+    from unips_jax.estimation.folders import load_network
+
+    start_jax()
+    return load_network(weights)
+
+
+def warm(weights: str, count: int, *, report: Report) -> None:
+    """Loads the network, and compiles it for a number of photographs."""
+    from unips_jax.estimation.streaming import estimate_photographs
+
+    network = _network(weights)
+    images = np.full((count, 16, 16, 3), 100, np.uint8)
+    images[:, :8] = 200
+    mask = np.ones((16, 16), bool)
+    estimate_photographs(network.params, images, mask, config=network.config)
+
+
 def estimate(
-    folder: Path,
+    chosen: Chosen,
     target: Path,
-    drawn: Path,
+    mask: Path | str,
     choices: Choices,
+    weights: str,
     max_pixels: int,
     *,
     report: Report,
-) -> list[str]:
+) -> list[dict[str, Any]]:
     """Estimates normals, depth, mesh and page, as `unips estimate` does.
 
     Args:
-        folder: of the photographs.
+        chosen: the files.
         target: folder for the results.
-        drawn: the mask, white on the object, of any size.
+        mask: "auto", "none", or the drawn one, white on the object, of any size.
         choices: the visitor's.
+        weights: shipped, or a file.
         max_pixels: of a photograph.
         report: of progress.
 
     Returns:
-        Warnings about the photographs.
+        What was found wrong with the photographs.
 
     Raises:
         InputError: as `estimate_folder`.
     """
-    from unips_jax.console import start_jax
-    from unips_jax.estimation.folders import estimate_folder, load_network
-    from unips_jax.estimation.options import FolderOptions
+    from unips_jax.estimation.folders import estimate_folder
 
     report("starting", 0.0)
-    mask: Any = "none"
-    if choices.mask == "drawn":
-        mask = drawn.with_name("mask-full.png")
-        write_image(mask, _full_mask(drawn, select(folder).files[0], max_pixels))
-    start_jax()
-    options = FolderOptions(
-        mask=mask,
-        max_pixels=max_pixels,
-        transfer=choices.transfer,  # type: ignore[arg-type]
+    if isinstance(mask, Path):
+        full = mask.with_name("mask-full.png")
+        first = chosen.folder / chosen.photographs[0]
+        write_image(full, _full_mask(mask, first, max_pixels))
+        mask = full
+    options = chosen.options(
+        mask,
+        max_pixels,
+        transfer=choices.transfer,
+        register=choices.register,
         depth=True,
         mesh="glb" if choices.mesh else None,
         view=True,
         focal="exif" if choices.perspective else None,
+        lights=choices.lights,
+        base_color=choices.base_color,
+        rti=choices.rti,
+        confidence=choices.confidence,
     )
+    network = _network(weights)
+    report("reading", 0.0)
 
     def progress(done: int, total: int) -> None:
-        phase = "normals" if done < total else "surface"
-        report(phase, done / max(total, 1))
+        report("normals" if done < total else "surface", done / max(total, 1))
 
     record = estimate_folder(
-        folder, target, load_network(), options, on_progress=progress
+        chosen.folder, target, network, options, on_progress=progress
     )
-    return list(record["warnings"])
+    return list(record["findings"])
 
 
 def _full_mask(drawn: Path, photograph: Path, max_pixels: int) -> np.ndarray:
@@ -186,17 +309,17 @@ def _full_mask(drawn: Path, photograph: Path, max_pixels: int) -> np.ndarray:
     return np.where(soft > 127, 255, 0).astype(np.uint8)
 
 
-def _small_picture(image: np.ndarray, transfer: Transfer, side: int) -> np.ndarray:
-    linear = _shrunk(as_linear(_reduced(image, 4 * side), transfer), side)
+def _write_mask(path: Path, values: np.ndarray) -> None:
+    write_image(path, np.where(values > 127, 255, 0).astype(np.uint8))
+
+
+def _small_picture(image: np.ndarray, transfer: Transfer) -> np.ndarray:
+    step = max(1, max(image.shape[:2]) // (4 * _THUMBNAIL))  # little is converted
+    image = np.nan_to_num(image[::step, ::step], posinf=0, neginf=0)
+    linear = _shrunk(as_linear(image, transfer), _THUMBNAIL)
     if transfer == "linear":
         linear = linear / (float(np.percentile(linear, 99.5)) or 1.0)
     return np.rint(255 * srgb_encode(np.clip(linear, 0, 1))).astype(np.uint8)
-
-
-def _reduced(image: np.ndarray, side: int) -> np.ndarray:
-    """Fewer pixels, unfiltered, so that little is converted."""
-    step = max(1, max(image.shape[:2]) // side)
-    return image[::step, ::step]
 
 
 def _shrunk(picture: np.ndarray, side: int) -> np.ndarray:

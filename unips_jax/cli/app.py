@@ -1,12 +1,14 @@
 """The application: photographs in, normals, surface and viewer out, in a browser.
 
-It runs on this machine and is reached from it alone. Photographs are kept in a
-temporary folder until their page is closed. Needs `pip install 'unips-jax[app]'`.
+It runs on this machine and is reached from it alone. Results are folders that stay;
+photographs stay with them, until removed on the page. Needs `pip install
+'unips-jax[app]'`.
 """
 
 import dataclasses
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from unips_jax.console import command, parse
 from unips_jax.errors import InputError
@@ -17,14 +19,18 @@ class Options:
     """Options of `unips app`.
 
     Attributes:
+        results: folder for the results; ~/unips if not given.
         host: address to listen on. Whoever reaches it may use this machine: there is
             no password.
-        port: to listen on.
+        port: to listen on; 8080, or the next that is free, if not given.
+        weights: shipped weights or a .safetensors file.
         no_show: do not open a browser.
     """
 
+    results: Path | None = None
     host: str = "127.0.0.1"
-    port: int = 8080
+    port: int | None = None
+    weights: str = "tiny"
     no_show: bool = False
 
 
@@ -32,7 +38,7 @@ class Options:
 def main(argv: Sequence[str] | None = None) -> None:
     """`unips app`."""
     options = parse(Options, argv, prog="unips app", description=__doc__)
-    if not 0 < options.port < 65536:
+    if options.port is not None and not 0 < options.port < 65536:
         raise InputError(f"--port: expected 1 to 65535, got {options.port}")
     try:
         from unips_jax.app.server import serve
@@ -40,8 +46,22 @@ def main(argv: Sequence[str] | None = None) -> None:
         raise InputError(
             f"unips app needs {error.name}: pip install 'unips-jax[app]'"
         ) from None
-    print(f"http://{options.host}:{options.port} (Ctrl-C ends it)", flush=True)
-    serve(options.host, options.port, show=not options.no_show)
+    serve(
+        options.host,
+        options.port,
+        results=(options.results or _home() / "unips").resolve(),
+        show=not options.no_show,
+        weights=options.weights,
+    )
+
+
+def _home() -> Path:
+    try:
+        return Path.home()
+    except RuntimeError:
+        raise InputError(
+            "--results: expected a folder, as there is no home folder; name one"
+        ) from None
 
 
 if __name__ == "__main__":

@@ -1,226 +1,342 @@
-// The mask's editor: a brush, a box that the server cuts out, undo. Plain DOM.
+// The mask's editor: a brush, a box that the server cuts out, pieces, undo.
 
-"use strict";
+import { request } from "./api.js";
+import { t } from "./text.js";
 
-window.unipsMask = (() => {
-  const SIDE = 1024;
-  let canvas, context, picture, mask, tool, history, cursor, stroke, address;
+const SIDE = 1024;
+const LEAST_SIDE = 640; // small pictures have a fine mask too
+const VEIL = "rgb(30 0 45 / 80%)";
+const LIGHT_VEIL = "rgb(30 0 45 / 25%)"; // while there is no mask at all
 
-  const pixelsOf = (c) => c.getContext("2d", { willReadFrequently: true });
-  const byId = (name) => document.getElementById(name);
-  const tell = (text) => (byId("mask-status").textContent = text);
+const byId = (name) => document.getElementById(name);
+const pixelsOf = (c) => c.getContext("2d", { willReadFrequently: true });
+const tell = (text) => (byId("mask-status").textContent = text);
 
-  async function image(source) {
-    const loaded = new Image();
-    loaded.src = source;
-    await loaded.decode();
-    return loaded;
+let canvas, context, picture, mask, tool, history, cursor, stroke, saved;
+let address = null; // of the object whose mask this is
+let inside = 0; // pixels
+let changes = 0; // that the server doesn't have yet
+let listeners = { changed: () => {} };
+
+async function image(source) {
+  const loaded = new Image();
+  loaded.src = source;
+  await loaded.decode();
+  return loaded;
+}
+
+/** Shows the picture; of another size or object, everything begins anew. */
+export async function load(id, version, how, changed) {
+  const base = `/objects/${id}`;
+  const shown = await image(`/api${base}/pictures/picture.jpg?${version}`);
+  const same = address === base && picture?.width === shown.width && picture?.height === shown.height;
+  listeners.changed = changed;
+  picture = shown;
+  if (!same) begin(base);
+  if (same && changes) {
+    // What was drawn stays; the server is about to have it.
+  } else if (how.mask === "auto") {
+    const name = how.found.mask === "none" ? null : "mask.png";
+    if (same) remember();
+    if (name) await take(`/api${base}/pictures/${name}?${version}`);
+    else clear();
+    if (!same) choose(name ? "add" : "box");
+  } else if (!same) {
+    await take(`/api${base}/pictures/drawn.png?${version}`);
+    choose(how.mask === "empty" ? "box" : "add");
   }
+  if (!same) {
+    changes = 0;
+    tell("");
+  }
+  draw();
+  byId("mask-editor").dataset.ready = "true";
+}
 
-  /** Shows the picture, and the mask that is known of it, if there is one. */
-  async function load(base, maskName) {
-    address = base;
-    picture = await image(`${base}/about/picture.jpg?${Date.now()}`);
-    canvas = byId("mask-canvas");
-    const scale = Math.min(1, SIDE / Math.max(picture.width, picture.height));
-    canvas.width = Math.round(picture.width * scale);
-    canvas.height = Math.round(picture.height * scale);
-    context = canvas.getContext("2d");
-    mask = document.createElement("canvas");
-    mask.width = canvas.width;
-    mask.height = canvas.height;
-    history = [];
+function begin(base) {
+  address = base;
+  canvas = byId("mask-canvas");
+  const longer = Math.max(picture.width, picture.height);
+  const scale = Math.min(Math.max(longer, LEAST_SIDE), SIDE) / longer;
+  canvas.width = Math.round(picture.width * scale);
+  canvas.height = Math.round(picture.height * scale);
+  context = canvas.getContext("2d");
+  mask = Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height });
+  history = [];
+  cursor = null;
+  stroke = null;
+  listen();
+}
+
+export function forget() {
+  address = null;
+  byId("mask-editor").dataset.ready = "false";
+}
+
+export const empty = () => inside === 0;
+export const unsaved = () => changes > 0;
+
+/** Resolves when the server has the mask. */
+export async function settled() {
+  while (changes) {
+    clearTimeout(saved);
+    await save();
+  }
+}
+
+function clear() {
+  pixelsOf(mask).clearRect(0, 0, mask.width, mask.height);
+}
+
+/** Takes a mask from the server: white is the object. */
+async function take(source) {
+  const loaded = await image(source);
+  const c = pixelsOf(mask);
+  clear();
+  c.drawImage(loaded, 0, 0, mask.width, mask.height);
+  const pixels = c.getImageData(0, 0, mask.width, mask.height);
+  for (let at = 0; at < pixels.data.length; at += 4) {
+    const object = pixels.data[at] > 127 && pixels.data[at + 3] > 127;
+    pixels.data.fill(255, at, at + 3);
+    pixels.data[at + 3] = object ? 255 : 0;
+  }
+  c.putImageData(pixels, 0, 0);
+}
+
+function remember() {
+  history.push(pixelsOf(mask).getImageData(0, 0, mask.width, mask.height));
+  if (history.length > 20) history.shift();
+}
+
+function undo() {
+  const before = history.pop();
+  if (!before) return;
+  pixelsOf(mask).putImageData(before, 0, 0);
+  edited();
+}
+
+function fill(all) {
+  remember();
+  clear();
+  const c = pixelsOf(mask);
+  c.fillStyle = "#fff";
+  if (all) c.fillRect(0, 0, mask.width, mask.height);
+  edited();
+}
+
+/** After a change: shows it, and soon the server has it. */
+function edited() {
+  changes += 1;
+  draw();
+  clearTimeout(saved);
+  saved = setTimeout(save, 500);
+  listeners.changed();
+}
+
+async function save() {
+  const upTo = changes;
+  const [base, kind] = [address, inside === 0 ? "empty" : inside === mask.width * mask.height ? "whole" : "drawn"];
+  const sent = Object.assign(document.createElement("canvas"), { width: mask.width, height: mask.height });
+  const c = sent.getContext("2d");
+  c.fillRect(0, 0, sent.width, sent.height);
+  c.drawImage(mask, 0, 0);
+  const blob = await new Promise((done) => sent.toBlob(done, "image/png"));
+  try {
+    await request("PUT", `${base}/mask?kind=${kind}`, blob);
+  } catch (problem) {
+    if (problem.status === 404 || problem.status === 409) return (changes = 0);
+    tell(t("mask_not_saved"));
+    await new Promise((done) => setTimeout(done, 1000));
+    clearTimeout(saved);
+    saved = setTimeout(save, 1000);
+    return undefined;
+  }
+  if (base === address) changes = changes === upTo ? 0 : changes;
+  listeners.changed();
+  return undefined;
+}
+
+function choose(name) {
+  tool = name;
+  for (const button of document.querySelectorAll("[data-mask-tool]")) {
+    button.setAttribute("aria-pressed", String(button.dataset.maskTool === name));
+  }
+}
+
+function count() {
+  const { data } = pixelsOf(mask).getImageData(0, 0, mask.width, mask.height);
+  inside = 0;
+  for (let at = 3; at < data.length; at += 4) inside += data[at] > 127;
+}
+
+/** The picture, veiled where it is not the object. */
+function draw() {
+  if (!stroke) count();
+  context.globalCompositeOperation = "source-over";
+  context.drawImage(picture, 0, 0, canvas.width, canvas.height);
+  const veil = Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height });
+  const v = veil.getContext("2d");
+  v.fillStyle = inside || stroke ? VEIL : LIGHT_VEIL;
+  if (stroke && tool === "box" && !inside) v.fillStyle = LIGHT_VEIL;
+  v.fillRect(0, 0, veil.width, veil.height);
+  v.globalCompositeOperation = "destination-out";
+  v.drawImage(mask, 0, 0);
+  context.drawImage(veil, 0, 0);
+  context.strokeStyle = "#ffe066";
+  context.lineWidth = Math.max(2, canvas.width / 400);
+  if (stroke && tool === "box") {
+    context.setLineDash([8, 5]);
+    context.strokeRect(...rectangle());
+  }
+  if (cursor && (tool === "add" || tool === "erase")) {
+    context.setLineDash([]);
+    context.beginPath();
+    context.arc(...cursor, brush() / 2, 0, 2 * Math.PI);
+    context.stroke();
+  }
+}
+
+const brush = () => (Number(byId("mask-brush").value) / 100) * Math.max(canvas.width, canvas.height);
+
+function rectangle() {
+  const [[a, b], [c, d]] = [stroke.from, stroke.to];
+  return [Math.min(a, c), Math.min(b, d), Math.abs(a - c), Math.abs(b - d)];
+}
+
+function paint(from, to) {
+  const c = pixelsOf(mask);
+  c.globalCompositeOperation = tool === "add" ? "source-over" : "destination-out";
+  c.strokeStyle = "#fff";
+  c.lineWidth = brush();
+  c.lineCap = "round";
+  c.beginPath();
+  c.moveTo(...from);
+  c.lineTo(to[0] + 0.01, to[1]);
+  c.stroke();
+  c.globalCompositeOperation = "source-over";
+}
+
+/** Takes the connected piece of the mask at a place away. */
+function dropPiece(place) {
+  const [width, height] = [mask.width, mask.height];
+  const pixels = pixelsOf(mask).getImageData(0, 0, width, height);
+  const [x, y] = place.map(Math.floor);
+  const start = y * width + x;
+  if (x < 0 || y < 0 || x >= width || y >= height || pixels.data[4 * start + 3] < 128) return;
+  remember();
+  const open = [start];
+  while (open.length) {
+    const at = open.pop();
+    if (pixels.data[4 * at + 3] < 128) continue;
+    pixels.data[4 * at + 3] = 0;
+    const column = at % width;
+    if (column > 0) open.push(at - 1);
+    if (column < width - 1) open.push(at + 1);
+    if (at >= width) open.push(at - width);
+    if (at < width * (height - 1)) open.push(at + width);
+  }
+  pixelsOf(mask).putImageData(pixels, 0, 0);
+  edited();
+}
+
+/** GrabCut in the box, by the server. */
+async function cut() {
+  const [x, y, w, h] = rectangle().map((value) => (value * picture.width) / canvas.width);
+  if (w < 8 || h < 8) return tell(t("box_small"));
+  tell(t("box_looking"));
+  const base = address;
+  try {
+    await request("POST", `${base}/cut`, { box: [x, y, x + w, y + h] });
+    if (base !== address) return undefined;
+    remember();
+    await take(`/api${base}/pictures/cut.png?${Date.now()}`);
+  } catch (problem) {
+    return tell(problem.message);
+  }
+  tell(t("box_found"));
+  edited();
+  return undefined;
+}
+
+function place(event) {
+  const box = canvas.getBoundingClientRect();
+  return [((event.clientX - box.left) * canvas.width) / box.width, ((event.clientY - box.top) * canvas.height) / box.height];
+}
+
+function listen() {
+  if (canvas.dataset.listening) return;
+  canvas.dataset.listening = "true";
+  canvas.addEventListener("pointerdown", (event) => {
+    if (event.button) return;
+    canvas.setPointerCapture(event.pointerId);
+    const at = place(event);
+    if (tool === "piece") return dropPiece(at);
+    stroke = { from: at, to: at };
+    if (tool !== "box") {
+      remember();
+      paint(at, at);
+    }
+    draw();
+    return undefined;
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    cursor = place(event);
+    if (stroke) {
+      if (tool !== "box") paint(stroke.to, cursor);
+      stroke.to = cursor;
+    }
+    draw();
+  });
+  canvas.addEventListener("pointerleave", () => {
+    if (stroke) return;
     cursor = null;
-    stroke = null;
-    if (maskName) await take(`${base}/about/${maskName}?${Date.now()}`);
-    choose("add");
-    listen();
     draw();
-    byId("mask-editor").dataset.ready = "true";
-  }
-
-  /** Takes a mask from the server: white is the object. */
-  async function take(source) {
-    const loaded = await image(source);
-    const c = pixelsOf(mask);
-    c.clearRect(0, 0, mask.width, mask.height);
-    c.drawImage(loaded, 0, 0, mask.width, mask.height);
-    const pixels = c.getImageData(0, 0, mask.width, mask.height);
-    for (let at = 0; at < pixels.data.length; at += 4) {
-      const inside = pixels.data[at] > 127 && pixels.data[at + 3] > 127;
-      pixels.data.fill(255, at, at + 3);
-      pixels.data[at + 3] = inside ? 255 : 0;
-    }
-    c.putImageData(pixels, 0, 0);
-  }
-
-  function remember() {
-    history.push(pixelsOf(mask).getImageData(0, 0, mask.width, mask.height));
-    if (history.length > 20) history.shift();
-  }
-
-  function undo() {
-    const before = history.pop();
-    if (before) pixelsOf(mask).putImageData(before, 0, 0);
-    draw();
-  }
-
-  function fill(inside) {
-    remember();
-    const c = pixelsOf(mask);
-    c.clearRect(0, 0, mask.width, mask.height);
-    c.fillStyle = "#fff";
-    if (inside) c.fillRect(0, 0, mask.width, mask.height);
-    draw();
-  }
-
-  function choose(name) {
-    tool = name;
-    for (const button of document.querySelectorAll("[data-mask-tool]")) {
-      button.setAttribute("aria-pressed", String(button.dataset.maskTool === name));
-    }
-  }
-
-  /** The picture, dark where it is not the object. */
-  function draw() {
-    context.globalCompositeOperation = "source-over";
-    context.drawImage(picture, 0, 0, canvas.width, canvas.height);
-    const veil = document.createElement("canvas");
-    veil.width = canvas.width;
-    veil.height = canvas.height;
-    const v = veil.getContext("2d");
-    v.fillStyle = "rgb(30 0 45 / 85%)";
-    v.fillRect(0, 0, veil.width, veil.height);
-    v.globalCompositeOperation = "destination-out";
-    v.drawImage(mask, 0, 0);
-    context.drawImage(veil, 0, 0);
-    if (stroke && tool === "box") {
-      const [x, y, w, h] = rectangle();
-      context.setLineDash([6, 4]);
-      context.strokeStyle = "#ffe066";
-      context.lineWidth = 2;
-      context.strokeRect(x, y, w, h);
-    }
-    if (cursor) {
-      context.setLineDash([]);
-      context.strokeStyle = "#ffe066";
-      context.lineWidth = 2;
-      context.beginPath();
-      context.arc(...cursor, brush() / 2, 0, 2 * Math.PI);
-      context.stroke();
-    }
-  }
-
-  const brush = () => (Number(byId("mask-brush").value) / 100) * Math.max(canvas.width, canvas.height);
-
-  function rectangle() {
-    const [[a, b], [c, d]] = [stroke.from, stroke.to];
-    return [Math.min(a, c), Math.min(b, d), Math.abs(a - c), Math.abs(b - d)];
-  }
-
-  function paint(from, to) {
-    const c = pixelsOf(mask);
-    c.globalCompositeOperation = tool === "add" ? "source-over" : "destination-out";
-    c.strokeStyle = "#fff";
-    c.lineWidth = brush();
-    c.lineCap = "round";
-    c.beginPath();
-    c.moveTo(...from);
-    c.lineTo(to[0] + 0.01, to[1]);
-    c.stroke();
-    c.globalCompositeOperation = "source-over";
-  }
-
-  /** GrabCut in the box, by the server. */
-  async function cut() {
-    const [x, y, w, h] = rectangle().map((value) => (value * picture.width) / canvas.width);
-    if (w < 8 || h < 8) return tell("The box is too small.");
-    tell("Looking for the object in the box …");
-    const answer = await fetch(`${address}/cut?left=${x}&top=${y}&right=${x + w}&bottom=${y + h}`);
-    if (!answer.ok) return tell(await answer.text());
-    remember();
-    await take(`${address}/about/cut.png?${Date.now()}`);
-    tell("This is the object as found in the box.");
-    draw();
-  }
-
-  function place(event) {
-    const box = canvas.getBoundingClientRect();
-    return [
-      ((event.clientX - box.left) * canvas.width) / box.width,
-      ((event.clientY - box.top) * canvas.height) / box.height,
-    ];
-  }
-
-  function listen() {
-    if (canvas.dataset.listening) return;
-    canvas.dataset.listening = "true";
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      const at = place(event);
-      stroke = { from: at, to: at };
-      if (tool !== "box") {
-        remember();
-        paint(at, at);
-      }
-      draw();
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      if (!stroke) return;
-      const at = place(event);
-      if (tool !== "box") paint(stroke.to, at);
-      stroke.to = at;
-      draw();
-    });
-    canvas.addEventListener("pointerup", async () => {
-      if (stroke && tool === "box") await cut();
+  });
+  canvas.addEventListener("pointerup", async () => {
+    if (!stroke) return;
+    if (tool === "box") {
+      const cutting = cut();
       stroke = null;
       draw();
-    });
-    canvas.addEventListener("keydown", (event) => {
-      const arrows = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-      const arrow = arrows[event.key];
-      cursor ??= [canvas.width / 2, canvas.height / 2];
-      const before = [...cursor];
-      if (arrow) {
-        const limits = [canvas.width, canvas.height];
-        cursor = cursor.map((value, axis) =>
-          Math.min(Math.max(value + (arrow[axis] * brush()) / 2, 0), limits[axis])
-        );
-        if (event.shiftKey && tool !== "box") paint(before, cursor);
-      } else if (event.key === " " && tool !== "box") {
-        remember();
-        paint(cursor, cursor);
-      } else if (event.key === "z") undo();
-      else return;
-      event.preventDefault();
-      draw();
-    });
-    for (const button of document.querySelectorAll("[data-mask-tool]")) {
-      button.addEventListener("click", () => choose(button.dataset.maskTool));
+      await cutting;
+    } else {
+      stroke = null;
+      edited();
     }
-    byId("mask-undo").addEventListener("click", undo);
-    byId("mask-clear").addEventListener("click", () => fill(false));
-    byId("mask-all").addEventListener("click", () => fill(true));
+  });
+  canvas.addEventListener("pointercancel", () => {
+    if (stroke && tool !== "box") undo();
+    stroke = null;
+    draw();
+  });
+  canvas.addEventListener("keydown", keys);
+  for (const button of document.querySelectorAll("[data-mask-tool]")) {
+    button.addEventListener("click", () => choose(button.dataset.maskTool));
   }
+  byId("mask-undo").addEventListener("click", undo);
+  byId("mask-clear").addEventListener("click", () => fill(false));
+  byId("mask-all").addEventListener("click", () => fill(true));
+}
 
-  /** Sends the mask; resolves to "drawn", or "none" if nothing is left out. */
-  async function send() {
-    const data = pixelsOf(mask).getImageData(0, 0, mask.width, mask.height).data;
-    let inside = 0;
-    for (let at = 3; at < data.length; at += 4) inside += data[at] > 127;
-    if (inside === 0) return "empty";
-    if (inside === data.length / 4) return "none";
-    const sent = document.createElement("canvas");
-    sent.width = mask.width;
-    sent.height = mask.height;
-    const c = sent.getContext("2d");
-    c.fillRect(0, 0, sent.width, sent.height);
-    c.drawImage(mask, 0, 0);
-    const blob = await new Promise((done) => sent.toBlob(done, "image/png"));
-    const answer = await fetch(`${address}/mask`, { method: "PUT", body: blob });
-    return answer.ok ? "drawn" : "failed";
-  }
-
-  return { load, send };
-})();
+function keys(event) {
+  const arrow = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+  const paints = tool === "add" || tool === "erase";
+  cursor ??= [canvas.width / 2, canvas.height / 2];
+  const before = [...cursor];
+  if (arrow) {
+    const limits = [canvas.width, canvas.height];
+    cursor = cursor.map((value, axis) => Math.min(Math.max(value + (arrow[axis] * brush()) / 2, 0), limits[axis]));
+    if (event.shiftKey && paints) {
+      paint(before, cursor);
+      edited();
+    }
+  } else if (event.key === " " && tool === "piece") dropPiece(cursor);
+  else if (event.key === " " && paints) {
+    remember();
+    paint(cursor, cursor);
+    edited();
+  } else if (event.key === "z") undo();
+  else return;
+  event.preventDefault();
+  draw();
+}

@@ -1,0 +1,76 @@
+// An object while and after it is estimated.
+
+import { byId, el, fill } from "./dom.js";
+import { advice } from "./draft.js";
+import { bytes, current, duration, t } from "./text.js";
+
+const KINDS = [
+  ["view", /^view\.html$/],
+  ["sheet", /^sheet\.png$/],
+  ["normals", /^normals\.(png|npy|exr|mat)$/],
+  ["depth", /^(depth\.|height\.)/],
+  ["mesh", /\.(glb|ply|obj|stl)$/],
+  ["color", /^base_color\./],
+  ["lights", /^lights\./],
+  ["rti", /^(relight\.ptm|info\.json|plane_)/],
+  ["confidence", /^(confidence\.|unreliable\.)/],
+  ["mask", /^mask\.png$/],
+  ["record", /^normals\.json$/],
+  ["other", /./],
+];
+
+export function showRunning(object) {
+  const stage = byId("stage");
+  const bar = byId("share");
+  const picture = `/api/objects/${object.id}/pictures/picture.jpg`;
+  if (!byId("running-picture").src.endsWith(picture)) byId("running-picture").src = picture;
+  if (object.state === "waiting") {
+    stage.textContent = object.ahead ? t("stage_waiting", { n: object.ahead }) : t("stage_next");
+  } else stage.textContent = t(`stage_${object.phase}`, { percent: Math.floor(100 * object.share) });
+  if (object.phase === "normals") bar.value = object.share;
+  else bar.removeAttribute("value");
+  byId("left").textContent = object.left ? t("left", { time: duration(object.left) }) : "";
+  const preview = byId("running-preview");
+  preview.hidden = !object.preview;
+  if (object.preview) {
+    const source = `/api/objects/${object.id}/pictures/preview.png?${object.asked}`;
+    if (!preview.src.endsWith(source)) preview.src = source;
+  }
+}
+
+export function showEnded(object) {
+  byId("ended-text").textContent = t(`ended_${object.state}`, { error: object.error });
+}
+
+export function showDone(object) {
+  const base = `/api/objects/${object.id}`;
+  const files = object.results;
+  const there = files.some((file) => file.name === "view.html");
+  byId("gone").hidden = files.length > 0;
+  byId("zip").href = `${base}/zip/all.zip`;
+  byId("zip").hidden = byId("own-tab").hidden = !files.length;
+  byId("own-tab").href = `${base}/results/view.html`;
+  const viewer = byId("viewer");
+  viewer.hidden = !there;
+  viewer.title = object.name;
+  if (there && viewer.getAttribute("src") !== `${base}/results/view.html`) viewer.src = `${base}/results/view.html`;
+  byId("folder").textContent = object.folder ? t("folder", { folder: object.folder }) : "";
+  fill(byId("files"), [current(), object.id, files], () => {
+    const rest = new Set(files);
+    return KINDS.flatMap(([kind, pattern]) => {
+      const mine = [...rest].filter((file) => pattern.test(file.name));
+      mine.forEach((file) => rest.delete(file));
+      if (!mine.length) return [];
+      const links = mine.flatMap((file) => [
+        el("a", { href: `${base}/results/${encodeURIComponent(file.name)}?save`, textContent: file.name, download: "" }),
+        el("span", { className: "note", textContent: ` ${bytes(file.bytes)} ` }),
+      ]);
+      return [el("dt", { textContent: t(`file_${kind}`) }), el("dd", {}, ...links)];
+    });
+  });
+  advice(byId("done-advice"), object.findings);
+}
+
+export function leave() {
+  byId("viewer").removeAttribute("src");
+}

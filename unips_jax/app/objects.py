@@ -1,0 +1,300 @@
+"""Objects: each is a folder on disk, which says all that is known of it.
+
+    RESULTS/NAME-DATE/      what `unips estimate` writes
+    RESULTS/.app/ID/        object.json, photographs/, pictures/, drawn.png
+    RESULTS/.app/lock       held while a server uses RESULTS
+
+IDs are unguessable: who does not know an object's can't reach it.
+"""
+
+import contextlib
+import dataclasses
+import datetime
+import json
+import os
+import re
+import secrets
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from unips_jax.errors import InputError
+from unips_jax.io.claims import claim, write_whole
+
+OVER = ("done", "failed", "cancelled", "interrupted")
+
+
+@dataclasses.dataclass
+class Photograph:
+    """A file of an object.
+
+    Attributes:
+        file: its name in `photographs/`.
+        name: what the visitor calls it.
+        bytes: its size.
+        state: "new" (not looked at), "used", "mask" or "aside".
+        why: a code, where it is set aside; see `strings.json`.
+        detail: more of that, in a few words.
+        facts: size and type of the picture, and how its values encode light.
+    """
+
+    file: str
+    name: str
+    bytes: int = 0
+    state: str = "new"
+    why: str = ""
+    detail: str = ""
+    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass
+class Object:
+    """Photographs, and what became of them.
+
+    Attributes:
+        id: unguessable; the folder's name.
+        folder: its place on disk.
+        state: "draft", "waiting", "running", or one of `OVER`.
+        mask: "auto" (the one found), "drawn", "whole" (all of the image) or "empty".
+        found: what was found in the photographs that are used; see `work.gather`.
+        version: changes with the photographs; `found_version` is that of `found`.
+        problem: why the photographs can't be used together, one line.
+        options: the visitor's choices; see `work.Choices`.
+        target: the results' folder.
+        error: why the estimate failed, one line.
+        removed: when the visitor removed it; 0 if not.
+    """
+
+    id: str
+    folder: Path
+    name: str = "object"
+    state: str = "draft"
+    photographs: list[Photograph] = dataclasses.field(default_factory=list)
+    mask: str = "auto"
+    found: dict[str, Any] | None = None
+    version: int = 0
+    found_version: int = -1
+    problem: str = ""
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    target: str = ""
+    error: str = ""
+    findings: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    created: float = 0.0
+    asked: float = 0.0
+    seconds: float = 0.0
+    removed: float = 0.0
+
+    @property
+    def inbox(self) -> Path:
+        """Folder of the photographs, as they were sent."""
+        return self.folder / "photographs"
+
+    @property
+    def pictures(self) -> Path:
+        """Folder of thumbnails and of the mask that was found."""
+        return self.folder / "pictures"
+
+    @property
+    def drawn(self) -> Path:
+        """The mask that the visitor drew."""
+        return self.folder / "drawn.png"
+
+    def of_state(self, state: str) -> list[Photograph]:
+        """The files of a state, in the order of their names."""
+        chosen = [photo for photo in self.photographs if photo.state == state]
+        return sorted(chosen, key=lambda photo: photo.file)
+
+    def named(self, file: str) -> Photograph | None:
+        """The file of this name."""
+        return next((p for p in self.photographs if p.file == file), None)
+
+    def changed(self) -> None:
+        """Notes that other photographs are used now."""
+        self.version += 1
+        self.problem = ""
+        self.save()
+
+    def save(self) -> None:
+        """Writes all of it.
+
+        Raises:
+            InputError: if the file system refuses.
+        """
+        record = dataclasses.asdict(self)
+        del record["folder"]
+        text = json.dumps(record, ensure_ascii=False)
+        data = text.encode(errors="backslashreplace")
+        write_whole(self.folder / "object.json", data)
+
+
+class Objects:
+    """All objects below a folder of results."""
+
+    def __init__(self, results: Path) -> None:
+        """Reads what is there; see `opened`."""
+        self.results = results
+        self.place = results / ".app"
+        self._there: dict[str, Object] = {}
+        for folder in sorted(self.place.iterdir()):
+            known = _read(folder)
+            if known is not None:
+                self._there[known.id] = known
+
+    def get(self, key: str) -> Object | None:
+        """The object of an ID, unless it was removed."""
+        found = self._there.get(key)
+        return None if found is None or found.removed else found
+
+    def get_removed(self, key: str) -> Object | None:
+        """The object of an ID that was removed."""
+        found = self._there.get(key)
+        return found if found is not None and found.removed else None
+
+    def all(self) -> list[Object]:
+        """Those that were not removed, the newest first."""
+        there = [item for item in self._there.values() if not item.removed]
+        return sorted(there, key=lambda item: -(item.asked or item.created))
+
+    def begin(self) -> Object:
+        """A new object without photographs.
+
+        Raises:
+            InputError: if the file system refuses.
+        """
+        key = secrets.token_urlsafe(18)
+        item = Object(key, self.place / key, created=time.time())
+        try:
+            item.inbox.mkdir(parents=True)
+            item.pictures.mkdir()
+        except OSError as error:
+            raise InputError(f"cannot be stored: {error.strerror}") from None
+        item.save()
+        self._there[key] = item
+        return item
+
+    def again(self, earlier: Object) -> Object:
+        """A new object with an earlier one's photographs, mask and options."""
+        item = self.begin()
+        for part in (earlier.inbox, earlier.pictures):
+            shutil.copytree(
+                part, item.folder / part.name, copy_function=_link, dirs_exist_ok=True
+            )
+        if earlier.drawn.exists():
+            shutil.copyfile(earlier.drawn, item.drawn)
+        for name in (
+            *("name", "photographs", "mask", "found"),
+            *("version", "found_version", "problem", "options"),
+        ):
+            setattr(item, name, getattr(earlier, name))
+        item.photographs = [dataclasses.replace(p) for p in earlier.photographs]
+        item.options = {**earlier.options}
+        item.save()
+        return item
+
+    def target_for(self, name: str) -> Path:
+        """A new folder of results, NAME-DATE."""
+        taken = {item.target for item in self._there.values()}
+        today = datetime.date.today().isoformat()
+        base = f"{clean(name, longest=60) or 'object'}-{today}"
+        for number in range(1, 10_000):
+            path = self.results / (base if number == 1 else f"{base}-{number}")
+            if str(path) not in taken and not path.exists():
+                return path
+        raise InputError(f"{base}: expected another name, got one used 10,000 times")
+
+    def clear(self, days: float) -> None:
+        """Deletes for good what was removed, or has no estimate, and is that old."""
+        limit = time.time() - days * 86_400
+        for item in [*self._there.values()]:
+            old_draft = item.state == "draft" and _touched(item) < limit
+            if 0 < item.removed < limit or old_draft:
+                del self._there[item.id]
+                shutil.rmtree(item.folder, ignore_errors=True)
+        for folder in self.place.iterdir():  # what a killed server left half made
+            if folder.is_dir() and folder.name not in self._there:
+                if folder.stat().st_mtime < limit:
+                    shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def opened(results: Path, *, days: float) -> Iterator[Objects]:
+    """The objects below a folder, for as long as the block runs and for us alone.
+
+    Estimates that a killed server had begun are "interrupted".
+
+    Raises:
+        InputError: if another server uses the folder, or it can't be written.
+    """
+    place = results / ".app"
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        place.chmod(0o700)
+        lock = place / "lock"
+        lock.touch()
+    except OSError as error:
+        raise InputError(
+            f"--results {results}: cannot be a folder of results: {error.strerror}; "
+            "choose another"
+        ) from None
+    with claim(lock) as ours:
+        if not ours:
+            raise InputError(
+                f"--results {results}: another `unips app` uses this folder; open its "
+                "page, end it, or choose another folder"
+            )
+        objects = Objects(results)
+        objects.clear(days)
+        for item in objects.all():
+            if item.state == "running":
+                item.state = "interrupted"
+                item.save()
+        yield objects
+
+
+def clean(name: str, *, longest: int = 100) -> str:
+    """A name of letters, digits and `-_.` that any file system takes."""
+    text = re.sub(r"[^\w.-]+", "_", name.replace("\\", "/").rsplit("/", 1)[-1])
+    text = text.strip("._")
+    stem, dot, suffix = text.rpartition(".")
+    if not dot or len(suffix) > 8:
+        stem, suffix = text, ""
+    stem = stem.encode()[: longest - len(suffix) - 1].decode(errors="ignore")
+    return f"{stem}{dot}{suffix}" if suffix else stem
+
+
+def unused(name: str, taken: set[str]) -> str:
+    """The name, with a number where others have it already, in whatever case."""
+    taken = {other.lower() for other in taken}
+    stem, dot, suffix = name.rpartition(".")
+    for number in range(2, 10_000):
+        if name.lower() not in taken:
+            break
+        name = f"{stem}-{number}{dot}{suffix}"
+    return name
+
+
+def _read(folder: Path) -> Object | None:
+    """An object that was saved; None where none was, or it is damaged."""
+    try:
+        record = json.loads((folder / "object.json").read_bytes())
+        photographs = [Photograph(**entry) for entry in record.pop("photographs")]
+        item = Object(folder=folder, photographs=photographs, **record)
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return item if item.id == folder.name else None
+
+
+def _touched(item: Object) -> float:
+    with contextlib.suppress(OSError):
+        return (item.folder / "object.json").stat().st_mtime
+    return item.created
+
+
+def _link(source: str, target: str) -> None:
+    """Another name of the same file; a copy where there are no links."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
