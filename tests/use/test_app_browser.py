@@ -30,7 +30,7 @@ from PIL import Image
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import Select, WebDriverWait
-from small_networks import SMALL_OURS, lively_weights
+from small_networks import SMALL_OURS, lively_network
 
 from unips_jax.io.images import read_image, write_image
 from unips_jax.weights import save_weights
@@ -80,7 +80,7 @@ def server(tmp_path_factory):
 def stand_in(tmp_path_factory):
     """With a network that compiles in seconds; its normals mean nothing."""
     place = tmp_path_factory.mktemp("stand-in")
-    save_weights(place / "small.safetensors", SMALL_OURS, lively_weights(SMALL_OURS))
+    save_weights(place / "small.safetensors", lively_network(SMALL_OURS))
     there = Server(place / "results", "--weights", str(place / "small.safetensors"))
     yield there
     there.end()

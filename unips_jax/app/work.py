@@ -234,7 +234,7 @@ def warm(weights: str, count: int, *, report: Report) -> None:
     images = np.full((count, 16, 16, 3), 100, np.uint8)
     images[:, :8] = 200
     mask = np.ones((16, 16), bool)
-    estimate_photographs(network.params, images, mask, config=network.config)
+    estimate_photographs(network.network, images, mask)
 
 
 def estimate(
