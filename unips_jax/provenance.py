@@ -28,7 +28,7 @@ def code_hash(*modules: str) -> str:
     """
     digest = hashlib.blake2b(digest_size=8)
     for name in sorted(_reached(f"{_NAME}.{module}" for module in modules)):
-        tree = _without_docstrings(ast.parse(_file(name).read_bytes()))
+        tree = _without_docstrings(_parsed(name))
         digest.update(f"{name}\n{ast.dump(tree)}\n".encode())
     return digest.hexdigest()
 
@@ -47,7 +47,7 @@ def _reached(names: Iterator[str]) -> set[str]:
 
 def _imports(name: str) -> Iterator[str]:
     """Modules of the package that a module imports (absolutely, as ours all do)."""
-    for node in _running(ast.parse(_file(name).read_bytes())):
+    for node in _running(_parsed(name)):
         if isinstance(node, ast.Import):
             yield from (x.name for x in node.names if _is_ours(x.name))
         elif isinstance(node, ast.ImportFrom) and _is_ours(node.module or ""):
@@ -55,6 +55,11 @@ def _imports(name: str) -> Iterator[str]:
                 # A name is a module of the package, or something in the package.
                 inner = f"{node.module}.{alias.name}"
                 yield inner if _file(inner).is_file() else str(node.module)
+
+
+@functools.cache
+def _parsed(name: str) -> ast.Module:
+    return ast.parse(_file(name).read_bytes())
 
 
 def _running(node: ast.AST) -> Iterator[ast.AST]:

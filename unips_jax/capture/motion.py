@@ -12,7 +12,6 @@ import dataclasses
 
 import cv2
 import numpy as np
-import scipy.fft
 
 from unips_jax.io.masks import mask_box
 
@@ -131,9 +130,7 @@ def _weight(shape: tuple[int, ...], mask: np.ndarray | None) -> np.ndarray:
 def _agreed_places(fields: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Places `[N, 2]` (x, y), whose differences are nearest to those of pairs."""
     count = len(fields)
-    spectra = [
-        scipy.fft.fft2((field - field.mean()) * weight, workers=1) for field in fields
-    ]
+    spectra = [np.fft.fft2((field - field.mean()) * weight) for field in fields]
     anchors = list(range(count))
     if count > _ALL_PAIRS:
         anchors = np.linspace(0, count - 1, _ANCHORS).round().astype(int).tolist()
@@ -161,10 +158,8 @@ def shift_between(
     """By how much the first lies to the right of and below the second; its trust."""
     cross = first * np.conj(second)
     cross /= np.maximum(np.abs(cross), 1e-9) ** _WHITENING
-    peaks = scipy.fft.ifft2(cross, workers=1).real
-    near = [
-        np.abs(scipy.fft.fftfreq(side, 1 / side)) <= furthest for side in peaks.shape
-    ]
+    peaks = np.fft.ifft2(cross).real
+    near = [np.abs(np.fft.fftfreq(side, 1 / side)) <= furthest for side in peaks.shape]
     likely = np.where(near[0][:, None] & near[1], peaks, -np.inf)
     top = np.unravel_index(likely.argmax(), peaks.shape)
     shift = []

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import scipy.fft
 
 from unips_jax.capture.motion import (
     VOTES,
@@ -80,7 +79,7 @@ def _refined(rest: np.ndarray, field: np.ndarray, start: np.ndarray) -> np.ndarr
     for top in range(0, height - size[0] + 1, max(1, size[0] // 2)):
         for left in range(0, width - size[1] + 1, max(1, size[1] // 2)):
             tile = (slice(top, top + size[0]), slice(left, left + size[1]))
-            spectra = [scipy.fft.fft2(f[tile] * window) for f in (back, rest)]
+            spectra = [np.fft.fft2(f[tile] * window) for f in (back, rest)]
             shift, sure = shift_between(*spectra, furthest=furthest)
             places.append((left + size[1] / 2, top + size[0] / 2))
             shifts.append(shift)

@@ -26,12 +26,10 @@ from unips_jax.console import (
 )
 from unips_jax.errors import InputError
 from unips_jax.evaluation import plan as planning
-from unips_jax.evaluation import publish, runner, summary
 from unips_jax.evaluation.benchmarks import BENCHMARKS, Benchmark, open_benchmark
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.protocols import Protocol
 from unips_jax.evaluation.registry import NAMES
-from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.store import Store
 
 _T = TypeVar("_T")
@@ -101,6 +99,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = parse(Options, argv, prog="unips eval", description=__doc__)
     plan = _plan(options)
     if options.write_inputs:
+        from unips_jax.evaluation import publish
+
         folder = options.workdir / "inputs"
         objects = publish.write_inputs(plan, folder)
         for _ in track(objects, "writing", total=len(plan.benchmark)):
@@ -169,6 +169,8 @@ def _spread(plan: planning.Plan, store: Store, options: Options) -> None:
 
 def _evaluate_one(options: Options) -> None:
     """The tasks of one object."""
+    from unips_jax.evaluation import runner
+
     plan = _plan(options)
     for _ in runner.execute(plan, planning.tasks_of(plan), Store(options.workdir)):
         pass
@@ -200,6 +202,9 @@ def _check_workdir(workdir: Path, benchmark: Benchmark) -> None:
 
 
 def _evaluate(plan: planning.Plan, store: Store, typed: str, *, pictures: bool) -> None:
+    from unips_jax.evaluation import publish, runner, summary
+    from unips_jax.evaluation.results import Results
+
     tasks = planning.tasks_of(plan)
     left = [task for task in tasks if not store.done(task.name)]
     for _ in track(runner.execute(plan, left, store), "evaluating", total=len(left)):

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import numpy as np
 from jax import Array
-from scipy import ndimage
 
 from unips_jax.estimation.programs import kept
 from unips_jax.io.color import Transfer, as_linear
@@ -163,6 +162,8 @@ def _decode_fast(
 
     What it changes is smooth: it is spread from one pixel in 16 to those around.
     """
+    from scipy import ndimage
+
     step = min(4, int(encoding.frame.side[0]) // 96)
     if step < 2:  # few pixels would not be fewer
         return decoder(encoding, mask, progress=progress)
