@@ -52,10 +52,13 @@ def photographs(
     directions=None,
     srgb=True,
     size=SIZE,
+    objects=True,
 ):
     """Photographs `[count, H, W, 3]`, uint8, one lamp each, and the object's mask."""
     rng = np.random.default_rng(seed + 100)
     mask, normals = blob(seed, size)
+    if not objects:
+        mask = np.zeros_like(mask)
     height, width = size
     y, x = np.mgrid[:height, :width].astype(np.float32)
     colours = np.ones((height, width, 3), np.float32) * np.float32(albedo)
@@ -112,7 +115,7 @@ PLAIN = {
     "linear": {"srgb": False, "background": 0.01},
     "three photographs": {"count": 3, "background": 0.02, "vignette": 0.5},
 }
-"""Backgrounds on which a mask can be told."""
+"""Backgrounds whose difference alone tells the object."""
 
 HARD = {
     "wood": {
@@ -124,7 +127,7 @@ HARD = {
     "black on black": {"albedo": (0.012,) * 3, "background": 0.01, "noise": 0.01},
     "mirror on black": {"albedo": (0.004,) * 3, "gloss": 4.0, "background": 0.004},
 }
-"""Backgrounds on which it cannot."""
+"""Backgrounds on which it does not."""
 
 
 def hemisphere(size=48):

@@ -220,7 +220,7 @@ def findings(capsys, *arguments):
 def test_the_command(folder, capsys):
     assert cli.main(["check", str(folder)]) == 0
     out, _ = capsys.readouterr()
-    assert "8 photographs" in out and "suggested (contrast 0." in out
+    assert "8 photographs" in out and "suggested by plain background (0." in out
     assert "nothing found that is wrong" in out
     (report,) = findings(capsys, folder)
     assert report["findings"] == [] and report["mask_suggested"]

@@ -9,12 +9,15 @@ from estimate_runs import run
 from plain_objects import HARD, PLAIN, photographs
 
 from unips_jax.capture.grabcut import grabcut_mask, strokes
-from unips_jax.capture.masks import TRUSTED, mask_picture, suggest_mask
+from unips_jax.capture.masks import TRUSTED, mask_picture, suggest_mask, toggle_piece
+from unips_jax.capture.salient import mask_of_salient_object, saliency
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_linear, srgb_encode
-from unips_jax.io.images import read_image
+from unips_jax.io.images import read_image, write_image
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
+
+SALIENCY = 0.1880  # of the original's 32 bits: 0.18796
 
 
 def overlap(mask, truth):
@@ -27,16 +30,97 @@ def test_masks_on_plain_backgrounds(name, seed):
     options = PLAIN[name]
     images, truth = photographs(seed, **options)
     transfer = "srgb" if options.get("srgb", True) else "linear"
-    mask, figure = suggest_mask(images, transfer=transfer)
-    assert figure >= TRUSTED and mask.dtype == bool
+    mask, figure, rule = suggest_mask(images, transfer=transfer)
+    assert figure >= TRUSTED and mask.dtype == bool and rule == "plain background"
     assert overlap(mask, truth) >= 0.97
 
 
+HARD_OVERLAPS = {
+    "wood": 0.97,
+    "strong texture": 0.99,
+    "black on black": 0.96,
+    "mirror on black": 0.5,  # what shines is found; what is as black as the rest not
+}
+
+
 @pytest.mark.parametrize("name", HARD)
-def test_no_guess_where_the_background_is_not_plain(name):
-    images, _ = photographs(3, **HARD[name])
-    mask, figure = suggest_mask(images)
-    assert mask is None and 0 <= figure < TRUSTED
+def test_the_network_finds_what_is_not_on_a_plain_background(name):
+    images, truth = photographs(3, **HARD[name])
+    mask, figure, rule = suggest_mask(images)
+    assert figure >= TRUSTED and rule == "salient object"
+    assert overlap(mask, truth) >= HARD_OVERLAPS[name]
+
+
+@pytest.mark.parametrize("name", ["grey", "vignetted", *HARD])
+def test_a_background_alone_has_no_object(name):
+    options = HARD.get(name, {"background": 0.4, "vignette": 0.8 * (name[0] == "v")})
+    images, _ = photographs(5, **options, objects=False)
+    mask, figure, rule = suggest_mask(images)
+    assert mask is None and figure < TRUSTED and rule == ""
+
+
+@pytest.mark.parametrize("radius", [8, 14, 22])
+@pytest.mark.parametrize("name", ["strong texture", "vignetted grey"])
+def test_holes_through_which_the_background_shows_are_open(name, radius):
+    options = {**PLAIN, **HARD}[name]
+    images, truth = photographs(7, **options)
+    behind, _ = photographs(7, **options, objects=False)
+    y, x = np.mgrid[: truth.shape[0], : truth.shape[1]]
+    cy, cx = (int(n.mean()) for n in np.nonzero(truth))
+    hole = np.hypot(y - cy, x - cx - 10) < radius
+    images = np.where(hole[..., None], behind, images)
+    mask, _ = mask_of_salient_object(images, transfer="srgb")
+    assert (
+        overlap(mask, truth & ~hole) > 0.97 and (~mask & hole).sum() > 0.89 * hole.sum()
+    )
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_the_network_lays_outlines_at_full_resolution(dtype):
+    images, truth = photographs(3, **HARD["wood"], size=(1350, 1800), count=3)
+    if dtype == np.float32:
+        images = (images / 255).astype(dtype)
+    mask, _ = mask_of_salient_object(images, transfer="srgb")
+    assert mask.shape == truth.shape and overlap(mask, truth) > 0.97
+
+
+def test_the_network_of_half_precision_is_that_of_its_authors():
+    """Of one picture, where the original gives the same to 0.03 everywhere."""
+    y, x = np.mgrid[:320, :320] / 320
+    disc = (np.hypot(x - 0.5, y - 0.45) < 0.25)[..., None]
+    picture = np.where(disc, (0.8, 0.5, 0.3), (0.2, 0.25, 0.3)).astype(np.float32)
+    found = saliency(picture)
+    assert found.shape == (320, 320)
+    assert overlap(found > 0.5, disc[..., 0]) > 0.98
+    assert found[::40, ::40].mean() == pytest.approx(SALIENCY, abs=2e-3)
+
+
+def test_a_click_takes_or_drops_a_piece():
+    mask = np.zeros((60, 80), bool)
+    mask[10:50, 10:40] = True
+    mask[20:28, 18:26] = False  # a hole
+    mask[30:40, 55:65] = True  # apart
+    picture = np.full((60, 80, 3), 40, np.uint8)
+    picture[mask] = 150
+    picture[5:15, 60:75] = (200, 60, 60)
+    picture[44:50, 10:40] = (20, 90, 30)
+
+    def changed(point):
+        return toggle_piece(mask, picture, point) ^ mask
+
+    rows, columns = np.nonzero(changed((60, 35)))
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (30, 39, 55, 64)
+    assert changed((22, 24)).sum() == 64  # the hole
+    assert overlap(changed((67, 9)), picture[..., 0] == 200) > 0.9
+    assert overlap(changed((20, 47)), picture[..., 0] == 20) > 0.9
+    there_and_back = toggle_piece(
+        toggle_piece(mask, picture, (22, 24)), picture, (60, 35)
+    )
+    assert there_and_back.sum() == 1200
+    with pytest.raises(InputError, match="expected one inside 80 x 60"):
+        toggle_piece(mask, picture, (80, 3))
+    with pytest.raises(InputError, match="expected uint8 of the mask's size"):
+        toggle_piece(mask, picture[1:], (3, 3))
 
 
 @pytest.mark.parametrize("table", [0.08, 0.2, 0.5])
@@ -48,13 +132,15 @@ def test_a_table_before_a_wall_misleads_nobody(albedo, wall, table):
     behind = np.where(np.arange(height) < 0.7 * height, wall, table)[:, None, None]
     cover = cv2.GaussianBlur(truth.astype(np.float32), (0, 0), 0.7)[..., None]
     lit = as_linear(images, "srgb") * cover + 0.7 * behind * (1 - cover)
-    mask, _ = suggest_mask(np.rint(srgb_encode(lit) * 255).astype(np.uint8))
-    assert mask is None or overlap(mask, truth) >= 0.93
+    mask, _, rule = suggest_mask(np.rint(srgb_encode(lit) * 255).astype(np.uint8))
+    # The network's is worse in one of the 18, a grey object on a grey table.
+    least = 0.83 if rule == "salient object" else 0.93
+    assert mask is None or overlap(mask, truth) >= least
 
 
 def test_nothing_to_see():
     for images in (np.zeros((2, 40, 50, 3), np.uint8), np.full((1, 9, 9, 3), 7.0, "f")):
-        assert suggest_mask(images) == (None, 0.0)
+        assert suggest_mask(images) == (None, 0.0, "")
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
@@ -62,13 +148,13 @@ def test_types_and_scale_do_not_matter(dtype):
     images, truth = photographs(5, background=0.02, count=3)
     expected = suggest_mask(images).mask
     scale = 257 if dtype == np.uint16 else 0.01
-    mask, _ = suggest_mask((images * np.float64(scale)).astype(dtype))
+    mask = suggest_mask((images * np.float64(scale)).astype(dtype)).mask
     assert overlap(mask, expected) > 0.995
 
 
 def test_large_photographs_have_outlines_of_their_own_pixels():
     images, truth = photographs(6, size=(900, 1200), background=0.02, count=3)
-    mask, _ = suggest_mask(images)
+    mask = suggest_mask(images).mask
     edge = cv2.morphologyEx(truth.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((7, 7)))
     assert not ((mask != truth) & (edge == 0)).any()
     assert overlap(mask, truth) > 0.995
@@ -81,7 +167,7 @@ def test_holes_that_show_the_background_stay_open_others_are_filled():
     hole = np.hypot(y - cy, x - cx - 25) < 9
     speck = np.hypot(y - cy, x - cx + 20) < 2.5
     images[:, hole | speck] = images[:, :1, :1].mean(axis=(1, 2))[:, None]
-    mask, _ = suggest_mask(images)
+    mask = suggest_mask(images).mask
     assert overlap(~mask & hole, hole) > 0.8 and mask[speck].all()
 
 
@@ -132,7 +218,7 @@ def test_estimate_takes_a_suggested_mask(folder, tmp_path, calls, capsys):  # no
     folder, truth = folder
     assert run(folder, "-o", tmp_path / "out") == 0
     out, err = capsys.readouterr()
-    assert "mask      suggested (contrast 0.9" in out and err == ""
+    assert "mask      suggested by plain background (0.9" in out and err == ""
     assert overlap(calls[0]["mask"], truth) > 0.97
     record = json.loads((tmp_path / "out/pot/normals.json").read_text())
     assert record["mask_suggested"] and record["mask_contrast"] >= TRUSTED
@@ -157,26 +243,48 @@ def test_estimate_takes_the_whole_image_if_told(folder, tmp_path, calls, capsys)
     np.testing.assert_array_equal(calls[3]["mask"], truth)
 
 
-REAL = {  # figure at least, or at most; the overlap
-    "photos/psbox_cat.data": 0.98,
-    "photos/key.data": None,
-    "diligent_dev/pmsData/ballPNG": 0.98,
-    "diligent_dev/pmsData/pot1PNG": 0.96,
-    "diligent_dev/pmsData/cowPNG": None,
-    "diligent_dev/pmsData/readingPNG": None,
+def test_estimate_takes_what_stands_out_and_says_so(tmp_path, calls, capsys):  # noqa: F811
+    images, truth = photographs(3, **HARD["wood"], count=6)
+    for index, image in enumerate(images):
+        write_image(tmp_path / "pot" / f"{index}.png", image)
+    assert run(tmp_path / "pot", "-o", tmp_path / "out") == 0
+    out, err = capsys.readouterr()
+    assert "mask      suggested by salient object (0.9" in out and err == ""
+    assert overlap(calls[0]["mask"], truth) > 0.95
+    record = json.loads((tmp_path / "out/pot/normals.json").read_text())
+    assert record["mask_suggested"] and record["mask_rule"] == "salient object"
+
+
+def test_estimate_warns_of_a_flat_desk(tmp_path, calls, capsys):  # noqa: F811
+    images, _ = photographs(5, **HARD["wood"], objects=False)
+    for index, image in enumerate(images):
+        write_image(tmp_path / "desk" / f"{index}.png", image)
+    assert run(tmp_path / "desk", "-o", tmp_path / "out") == 0
+    assert calls[0]["mask"].all()
+    assert "no object found: the whole image is taken" in capsys.readouterr().err
+    assert run(tmp_path / "desk", "-o", tmp_path / "o", "--mask", "none") == 0
+    assert "no object" not in capsys.readouterr().err
+
+
+REAL = {  # what finds the mask; the overlap
+    "photos/psbox_cat.data": ("plain background", 0.98),
+    "photos/key.data": (
+        "salient object",
+        0.86,
+    ),  # its file's mask is a pixel or two off
+    "diligent_dev/pmsData/ballPNG": ("plain background", 0.98),
+    "diligent_dev/pmsData/pot1PNG": ("plain background", 0.98),
+    "diligent_dev/pmsData/cowPNG": ("salient object", 0.98),
+    "diligent_dev/pmsData/readingPNG": ("salient object", 0.97),
 }
 
 
 @pytest.mark.parametrize("name", REAL)
 def test_real_photographs(shared_dir, name):
-    selection = select(shared_dir / name, max_images=12)
-    capture = read_capture(selection)
-    transfer = "srgb" if "key" in name else "linear"
-    mask, figure = suggest_mask(capture.images, transfer=transfer)
-    if REAL[name] is None:
-        assert mask is None and figure < 0.4
-    else:
-        assert overlap(mask, capture.mask) > REAL[name]
+    capture = read_capture(select(shared_dir / name, max_images=12))
+    found = suggest_mask(capture.images, transfer=capture.transfer)
+    rule, least = REAL[name]
+    assert found.rule == rule and overlap(found.mask, capture.mask) > least
 
 
 @pytest.mark.parametrize("size", [1, 2, 8, 16])

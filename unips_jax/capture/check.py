@@ -17,6 +17,7 @@ from unips_jax.io.photographs import Capture
 _UNTAGGED = "8-bit values"  # the rule of `io.color` where no tag says
 _FOCUS_SIDE = 1024
 _BLURRED = 0.7  # of the median of fine detail over coarse
+_WHOLE = 0.95  # of the image: less was cut out of black
 _EXPOSURES = 1.26  # a third of a stop
 
 
@@ -33,6 +34,7 @@ def check_capture(
     if motion is None:
         motion = find_motion(images, None if mask.all() else mask)
     found = [
+        *_look_at_object(capture),
         *look_at_values(images, mask, names),
         *_look_at_motion(motion, names),
         *_look_at_focus(images, mask, names),
@@ -43,6 +45,21 @@ def check_capture(
     if capture.transfer_rule == _UNTAGGED:
         found += look_at_encoding(images, mask)
     return found
+
+
+def _look_at_object(capture: Capture) -> list[Finding]:
+    """Whether an object was looked for in vain, and all there is would be estimated."""
+    looked = capture.mask_contrast is not None
+    if not looked or capture.mask_rule or capture.mask.mean() < _WHOLE:
+        return []
+    return [
+        Finding(
+            "no object",
+            "no object found: the whole image is taken as one surface, and a flat "
+            "desk or wall would come out curved; give --mask FILE, or --mask none if "
+            "the whole image is meant",
+        )
+    ]
 
 
 def _look_at_motion(motion: Motion, names: Sequence[str]) -> list[Finding]:

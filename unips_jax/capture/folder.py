@@ -7,7 +7,6 @@ from typing import Any
 
 from unips_jax.capture.check import check_capture
 from unips_jax.capture.findings import Finding, some
-from unips_jax.capture.masks import TRUSTED
 from unips_jax.capture.prepare import with_suggested_mask
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer
@@ -53,7 +52,8 @@ class Report:
             "mask": None if mask_file is None else str(mask_file),
             "mask_pixels": int(self.capture.mask.sum()),
             "mask_contrast": self.capture.mask_contrast,
-            "mask_suggested": (self.capture.mask_contrast or 0) >= TRUSTED,
+            "mask_rule": self.capture.mask_rule,
+            "mask_suggested": bool(self.capture.mask_rule),
         }
 
 

@@ -64,7 +64,7 @@ def _reduced(drawn: np.ndarray | None, size: tuple[int, int]) -> np.ndarray:
 def _trimap(
     picture: np.ndarray, drawn: Sequence[np.ndarray], box: Sequence[float] | None
 ) -> np.ndarray:
-    """What is known, and what is likely, before the colours are looked at closely."""
+    """What is known and what is likely, before GrabCut."""
     inside, outside = drawn
     shape = picture.shape[:2]
     if box is not None:
@@ -109,7 +109,7 @@ def _cut(picture: np.ndarray, trimap: np.ndarray) -> np.ndarray:
     cv2.grabCut(
         np.ascontiguousarray(picture[..., ::-1]),
         trimap,
-        (0, 0, 1, 1),  # not looked at
+        (0, 0, 1, 1),  # unused with a mask
         *models,
         _ROUNDS,
         cv2.GC_INIT_WITH_MASK,

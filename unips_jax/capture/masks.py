@@ -1,294 +1,119 @@
-"""Where the object is, from the photographs: a suggestion on plain backgrounds.
+"""Where the object is: a mask suggested from photographs, and pieces of it by a click.
 
-What counts is how far the brightest of all photographs, as the square root of light
-(which takes shadows of a moving lamp out and shows dark materials), is from the
-background, a smooth surface through the image's margin: so black, grey and white
-backdrops, vignetted or not, are alike. The largest threshold is Otsu's ("A Threshold
-Selection Method from Gray-Level Histograms", 1979), which is too high for objects with
-dark parts; of those below it the one is taken about which the mask changes least. Large
-parts are kept, holes filled, and the outline laid where half of what the object has
-beside it is reached. Whether that is a mask is told by one figure, `MaskGuess.figure`.
+Where the background is plain enough to be sure, its difference tells
+(`capture/background.py`); else a network for salient objects (`capture/salient.py`).
 """
 
-import dataclasses
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 
+from unips_jax.capture.background import mask_on_plain_background
+from unips_jax.capture.salient import mask_of_salient_object
+from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_float, srgb_encode
 
 TRUSTED = 0.60
 """The least figure of a guess that is used without asking."""
 
-_SIDE = 512  # pixels of the longer side, where the mask is sought
-_RING = 0.06  # of the shorter side: the margin that shows the background
-_STEPS = 9  # thresholds
-_WIDER = 1.4  # factor by which a threshold is changed to see what the mask does
-_NOISE = 4  # standard deviations of the background
-_LEAST = 0.02  # of the brightest, in the square root of light
-_PART = 0.05  # of the largest part
-_HOLE = 0.005  # of the object: smaller ones are filled, however dark
-_THIN = 0.03  # of the object's size: cables
-_ROWS = 512  # at a time
+_SURE = 0.35  # what the network's overlap may lack of 1 at a figure of 0
+_SMALLEST = 16  # pixels of a side
+_TOLERANCE = 14  # levels of 255, from the colour that was clicked
 
 
 class MaskGuess(NamedTuple):
-    """A mask, unless it could only be guessed.
+    """A mask, unless none was found.
 
     Attributes:
         mask: `[H, W]`, bool; None where the figure is below `TRUSTED`.
-        figure: contrast in [0, 1]: of outline, threshold and surroundings. On made-up
-            and real sets masks of `TRUSTED` and more overlap the true ones by 0.93.
+        figure: how sure it is, in [0, 1]: of a plain background the contrast of
+            outline, threshold and surroundings; of the network how steady its outline
+            is from 30 to 70 % of saliency.
+        rule: what found the mask; empty if nothing did.
     """
 
     mask: np.ndarray | None
     figure: float
+    rule: Literal["plain background", "salient object", ""] = ""
 
 
 def suggest_mask(images: np.ndarray, *, transfer: Transfer = "srgb") -> MaskGuess:
-    """Finds the object of photographs on a plain background.
+    """Finds the object of photographs, whatever is behind it.
 
     Args:
         images: `[N, H, W, 3]`, uint8, uint16 or float32, one camera, changing light.
         transfer: how their values encode light.
     """
-    brightest = images.max(axis=0)
-    scale = _SIDE / max(brightest.shape[:2])
-    small = brightest
-    if scale < 1:
-        small = cv2.resize(
-            brightest, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
-        )
-    if min(small.shape[:2]) < 16:
+    if min(images.shape[1:3]) < _SMALLEST:
         return MaskGuess(None, 0.0)
-    top = float(np.percentile(small, 99.5)) or 1.0
-    small = cv2.medianBlur(_root(small, transfer, top), 3)
-    found = _find(small)
-    if found is None:
-        return MaskGuess(None, 0.0)
-    mask, figure = found.mask, round(float(found.figure), 2)
-    if figure < TRUSTED:
-        return MaskGuess(None, figure)
-    if scale < 1:
-        mask = _enlarged(found, brightest, transfer, top)
-    return MaskGuess(mask, figure)
+    plain = mask_on_plain_background(images, transfer=transfer)
+    contrast = round(plain[1], 2) if plain else 0.0
+    if plain and contrast >= TRUSTED:
+        return MaskGuess(plain[0], contrast, "plain background")
+    salient = mask_of_salient_object(images, transfer=transfer)
+    figure = round(max(1 - (1 - salient[1]) / _SURE, 0.0), 2) if salient else 0.0
+    if salient and figure >= TRUSTED:
+        return MaskGuess(salient[0], figure, "salient object")
+    return MaskGuess(None, max(figure, contrast))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Found:
-    """A mask of the reduced picture, and how it was found.
-
-    Attributes:
-        mask: `[h, w]`, bool.
-        figure: see `MaskGuess`.
-        plane: `[6, 3]`, the background.
-        threshold: `[h, w]`: distance from it where the object begins.
-    """
-
-    mask: np.ndarray
-    figure: float
-    plane: np.ndarray
-    threshold: np.ndarray
-
-
-def _find(picture: np.ndarray) -> _Found | None:
-    """The mask of a picture of the square root of light, `[h, w, 3]`."""
-    plane, noise = _background(picture)
-    distance = _distance(picture, plane, picture.shape[0])
-    top = _otsu(distance)
-    least = max(top / 8, _NOISE * noise, _LEAST)
-    thresholds = np.geomspace(least, top, _STEPS) if least < top else np.array([top])
-    steady, threshold = -1.0, top
-    for value in thresholds:
-        overlap = _overlap(
-            _solid(distance > value / _WIDER), _solid(distance > value * _WIDER)
-        )
-        if overlap > steady + 0.005:  # the lower one, if they are alike
-            steady, threshold = overlap, value
-    mask = _solid(distance > threshold)
-    if not mask.any() or mask.all():
-        return None
-    limits = _limits(distance, mask, threshold)
-    mask = _solid(np.where(_band(mask, 3), distance > limits, mask))
-    mask = _without_holes(_without_cables(mask), distance, max(_NOISE * noise, _LEAST))
-    if not mask.any() or mask.all():
-        return None
-    figure = max(steady, 0) * _contrast(distance, mask)
-    return _Found(mask, figure, plane, limits)
-
-
-def _root(pixels: np.ndarray, transfer: Transfer, top: float) -> np.ndarray:
-    """About the square root of light, float32, 1 at a stored value of `top`."""
-    values = np.maximum(pixels.astype(np.float32) / top, 0)
-    return values if transfer == "srgb" else np.sqrt(values)
-
-
-def _terms(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """The terms of a quadratic surface, `[..., 6]`, at places in [-1, 1]."""
-    y, x = np.broadcast_arrays(rows, columns)
-    return np.stack([np.ones_like(x), x, y, x * y, x * x, y * y], axis=-1)
-
-
-def _places(count: int) -> np.ndarray:
-    return ((np.arange(count) + 0.5) / count * 2 - 1).astype(np.float32)
-
-
-def _background(picture: np.ndarray) -> tuple[np.ndarray, float]:
-    """A quadratic surface through the margin, `[6, 3]`, and what it leaves there.
-
-    What differs from most of the margin, an object that reaches it, is passed over.
-    """
-    height, width = picture.shape[:2]
-    ring = np.ones((height, width), bool)
-    margin = max(2, round(_RING * min(height, width)))
-    ring[margin:-margin, margin:-margin] = False
-    chosen = np.flatnonzero(ring)
-    chosen = chosen[:: max(1, len(chosen) // 8000)]
-    terms = _terms(_places(height)[:, None], _places(width)[None])
-    terms = terms.reshape(-1, 6)[chosen]
-    values = picture.reshape(-1, 3)[chosen]
-    residual = np.abs(values - np.median(values, axis=0)).max(axis=-1)
-    kept = residual <= np.percentile(residual, 75)
-    for _ in range(8):
-        plane = np.linalg.lstsq(terms[kept], values[kept], rcond=None)[0]
-        residual = np.abs(values - terms @ plane).max(axis=-1)
-        spread = 1.4826 * float(np.median(residual[kept]))
-        kept = residual < max(3 * spread, 0.01)
-    return plane.astype(np.float32), spread
-
-
-def _distance(picture: np.ndarray, plane: np.ndarray, height: int, start: int = 0):
-    """How far rows from `start` of a picture are from the background: `[h, w]`."""
-    rows = _places(height)[start : start + picture.shape[0]]
-    terms = _terms(rows[:, None], _places(picture.shape[1])[None])
-    return np.linalg.norm(picture - terms @ plane, axis=-1).astype(np.float32) / 3**0.5
-
-
-def _otsu(values: np.ndarray) -> float:
-    counts, edges = np.histogram(values, 256)
-    middles = (edges[1:] + edges[:-1]) / 2
-    weight, moment = np.cumsum(counts), np.cumsum(counts * middles)
-    rest = np.maximum(weight[-1] - weight, 1e-12)
-    between = (moment[-1] * weight - moment * weight[-1]) ** 2 / (weight * rest + 1e-12)
-    return float(middles[np.argmax(between[:-1])])
-
-
-def _solid(inside: np.ndarray) -> np.ndarray:
-    """The large parts, holes filled."""
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(inside.astype(np.uint8))
-    if count == 1:
-        return inside
-    areas = stats[:, cv2.CC_STAT_AREA].copy()
-    areas[0] = 0
-    inside = (areas >= _PART * areas.max())[parts]
-    outside = np.pad(~inside, 1, constant_values=True).astype(np.uint8)
-    _, parts = cv2.connectedComponents(outside, connectivity=4)
-    return (parts != parts[0, 0])[1:-1, 1:-1]
-
-
-def _without_holes(mask: np.ndarray, distance: np.ndarray, level: float) -> np.ndarray:
-    """Opens again large holes through which the background is seen."""
-    dark = (mask & (distance < level)).astype(np.uint8)
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(
-        cv2.morphologyEx(dark, cv2.MORPH_OPEN, _disc(2))
-    )
-    large = stats[:, cv2.CC_STAT_AREA] >= _HOLE * mask.sum()
-    large[0] = False
-    return mask & ~large[parts] if count > 1 else mask
-
-
-def _without_cables(mask: np.ndarray) -> np.ndarray:
-    """Cuts off what is thin and leads to the image's border."""
-    radius = max(2, round(_THIN * float(mask.sum()) ** 0.5))
-    padded = np.pad(mask, radius, mode="edge").astype(np.uint8)
-    thick = cv2.morphologyEx(padded, cv2.MORPH_OPEN, _disc(radius))
-    thick = cv2.dilate(thick, _disc(1))
-    thin = (mask & (thick[radius:-radius, radius:-radius] == 0)).astype(np.uint8)
-    count, parts = cv2.connectedComponents(thin)
-    border = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
-    leads_out = np.zeros(count, bool)
-    leads_out[border] = True
-    leads_out[0] = False
-    return _solid(mask & ~leads_out[parts])
-
-
-def _limits(distance: np.ndarray, mask: np.ndarray, threshold: float) -> np.ndarray:
-    """Half of what the object has nearby; not below the threshold."""
-    core = cv2.erode(mask.astype(np.uint8), _disc(2)).astype(np.float32)
-    return np.maximum(_nearby(distance, core, 6) / 2, np.float32(threshold))
-
-
-def _nearby(values: np.ndarray, where: np.ndarray, sigma: float) -> np.ndarray:
-    """The mean of the values nearby, of those that count only."""
-    blurred = cv2.GaussianBlur(values * where, (0, 0), sigma)
-    return blurred / np.maximum(cv2.GaussianBlur(where, (0, 0), sigma), 1e-6)
-
-
-def _contrast(distance: np.ndarray, mask: np.ndarray) -> float:
-    """Of outline and surroundings, in [0, 1].
-
-    The outline's: how much more there is inside than outside, over their sum; of its
-    quarter that has least. The surroundings': how much less the brightest of them have
-    than the object.
-    """
-    within = mask.astype(np.uint8)
-    eroded, dilated = cv2.erode(within, _disc(1)), cv2.dilate(within, _disc(1))
-    inner = (eroded - cv2.erode(within, _disc(3))).astype(np.float32)
-    outer = (cv2.dilate(within, _disc(3)) - dilated).astype(np.float32)
-    outline = (within > eroded) & ~_frame(mask.shape)
-    border = mask[_frame(mask.shape)].mean()
-    far = cv2.dilate(within, _disc(4)) == 0
-    if not outline.any() or border > 0.5 or not far.any():
-        return 0.0
-    more = _nearby(distance, inner, 2)[outline]
-    less = _nearby(distance, outer, 2)[outline]
-    edge = np.percentile((more - less) / (more + less + 1e-6), 25)
-    around = 1 - np.percentile(distance[far], 98) / np.median(distance[mask])
-    return float(np.clip(edge, 0, 1) * np.clip(around, 0, 1))
-
-
-def _enlarged(
-    found: _Found, brightest: np.ndarray, transfer: Transfer, top: float
+def toggle_piece(
+    mask: np.ndarray, picture: np.ndarray, point: tuple[float, float]
 ) -> np.ndarray:
-    """The mask at full size; its outline is looked for anew."""
-    height, width = brightest.shape[:2]
+    """The mask after a click: the piece under it is taken, or dropped if it was inside.
 
-    def full(values: np.ndarray) -> np.ndarray:
-        values = values.astype(np.float32)
-        return cv2.resize(values, (width, height), interpolation=cv2.INTER_LINEAR)
+    A piece is a part of the mask apart from its largest, or a hole in it; elsewhere,
+    what is connected and has about the colour that was clicked.
 
-    mask = full(found.mask) > 0.5
-    band = full(_band(found.mask, 1)) > 0
-    limits = full(found.threshold)
-    for start in range(0, height, _ROWS):
-        rows = slice(start, start + _ROWS)
-        picture = cv2.blur(_root(brightest[rows], transfer, top), (3, 3))
-        distance = _distance(picture, found.plane, height, start)
-        mask[rows] = np.where(band[rows], distance > limits[rows], mask[rows])
-    radius = max(1, round(max(height, width) / _SIDE / 2))
-    smooth = cv2.medianBlur(mask.astype(np.uint8), 2 * radius + 1) > 0
-    return np.where(band, smooth, mask)
+    Args:
+        mask: `[H, W]`, bool.
+        picture: `[H, W, 3]`, uint8, such as `mask_picture` gives.
+        point: x and y, in pixels.
+
+    Raises:
+        InputError: if the sizes differ or the point is outside the picture.
+    """
+    height, width = mask.shape
+    x, y = int(np.floor(point[0])), int(np.floor(point[1]))
+    if picture.shape != (height, width, 3) or picture.dtype != np.uint8:
+        raise InputError(
+            f"picture: expected uint8 of the mask's size {[height, width, 3]}, got "
+            f"{picture.dtype} {list(picture.shape)}; make it with mask_picture"
+        )
+    if not (0 <= x < width and 0 <= y < height):
+        raise InputError(
+            f"point: expected one inside {width} x {height} pixels, got {x}, {y}"
+        )
+    alike = (mask == mask[y, x]).astype(np.uint8)
+    # Four neighbours outside, so that a diagonal line of the mask closes a hole.
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        alike, connectivity=8 if mask[y, x] else 4
+    )
+    part = int(labels[y, x])
+    piece = labels == part
+    if mask[y, x]:
+        whole = stats[part, cv2.CC_STAT_AREA] < stats[1:, cv2.CC_STAT_AREA].max()
+    else:
+        left, top, wide, high = stats[part, :4]
+        whole = left > 0 and top > 0 and left + wide < width and top + high < height
+    if not whole:
+        piece = _of_one_colour(picture, piece, (x, y))
+    return mask & ~piece if mask[y, x] else mask | piece
 
 
-def _band(mask: np.ndarray, radius: int) -> np.ndarray:
-    """Where the outline is, and so many pixels to both sides."""
-    within = mask.astype(np.uint8)
-    return cv2.dilate(within, _disc(radius)) > cv2.erode(within, _disc(radius))
-
-
-def _frame(shape: tuple[int, ...]) -> np.ndarray:
-    frame = np.ones(shape, bool)
-    frame[1:-1, 1:-1] = False
-    return frame
-
-
-def _disc(radius: int) -> np.ndarray:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    return float((a & b).sum() / max((a | b).sum(), 1))
+def _of_one_colour(
+    picture: np.ndarray, where: np.ndarray, point: tuple[int, int]
+) -> np.ndarray:
+    """What is connected to the point and has about its colour, specks filled."""
+    smooth = np.ascontiguousarray(cv2.medianBlur(picture, 5))
+    barred = np.pad(~where, 1, constant_values=True).astype(np.uint8)
+    flags = 4 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE | (2 << 8)
+    tolerance = (_TOLERANCE,) * 3
+    cv2.floodFill(smooth, barred, point, 0, tolerance, tolerance, flags)
+    found = (barred[1:-1, 1:-1] == 2).astype(np.uint8)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    return (cv2.morphologyEx(found, cv2.MORPH_CLOSE, kernel) > 0) & where
 
 
 def mask_picture(images: np.ndarray, *, transfer: Transfer = "srgb") -> np.ndarray:

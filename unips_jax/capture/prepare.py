@@ -20,14 +20,16 @@ def with_suggested_mask(capture: Capture) -> Capture:
     Returns:
         `mask_contrast` is the figure; below `masks.TRUSTED` the mask is as it was.
     """
-    mask, figure = suggest_mask(capture.images, transfer=capture.transfer)
-    if mask is None:
-        return dataclasses.replace(capture, mask_contrast=figure)
-    mask &= capture.mask
+    guess = suggest_mask(capture.images, transfer=capture.transfer)
+    if guess.mask is None:
+        return dataclasses.replace(capture, mask_contrast=guess.figure)
+    mask = guess.mask & capture.mask
     if not mask.any():
         return dataclasses.replace(capture, mask_contrast=0.0)
     # What was left out of the whole image lies around the object: no news.
-    return dataclasses.replace(capture, mask=mask, mask_contrast=figure, notes=())
+    return dataclasses.replace(
+        capture, mask=mask, mask_contrast=guess.figure, mask_rule=guess.rule, notes=()
+    )
 
 
 def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> Capture:

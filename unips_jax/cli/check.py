@@ -138,7 +138,8 @@ def _print(report: Report) -> None:
     if report.capture is not None:
         what = record["mask"] or "none"
         if record["mask_suggested"]:
-            what = f"suggested (contrast {record['mask_contrast']:.2f})"
+            rule, figure = record["mask_rule"], record["mask_contrast"]
+            what = f"suggested by {rule} ({figure:.2f})"
         size = f"{record['width']} x {record['height']}"
         print_line("mask", f"{what}: {record['mask_pixels']} of {size} pixels")
         print_line("transfer", f"{record['transfer']} ({record['transfer_rule']})")

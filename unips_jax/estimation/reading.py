@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from unips_jax.capture.check import check_capture
-from unips_jax.capture.masks import TRUSTED
 from unips_jax.capture.prepare import (
     in_place,
     still,
@@ -124,7 +123,8 @@ def read_and_look(
     findings = check_capture(capture, selection.names, motion=motion)
     facts["findings"] = [finding.record() for finding in findings]
     facts["mask_contrast"] = capture.mask_contrast
-    facts["mask_suggested"] = (capture.mask_contrast or 0) >= TRUSTED
+    facts["mask_rule"] = capture.mask_rule
+    facts["mask_suggested"] = bool(capture.mask_rule)
     texts = [finding.text for finding in findings]
     return Looked(capture, [*capture.notes, *texts], facts)
 

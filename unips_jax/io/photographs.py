@@ -64,8 +64,9 @@ class Capture:
         notes: what was dealt with, one sentence each.
         cameras: of each photograph by its EXIF data, empty where unknown.
         exposures: time x speed / f-number squared, the same; 0 where unknown.
-        mask_contrast: of a mask that was looked for in the photographs; None where it
-            was not.
+        mask_contrast: how sure a mask is that was looked for in the photographs; None
+            where none was looked for.
+        mask_rule: what found it; empty where nothing did.
     """
 
     images: np.ndarray
@@ -77,6 +78,7 @@ class Capture:
     cameras: tuple[str, ...] = ()
     exposures: tuple[float, ...] = ()
     mask_contrast: float | None = None
+    mask_rule: str = ""
 
 
 def read_photographs(

@@ -173,10 +173,11 @@ def _mask_shown(record: dict[str, Any]) -> str:
         return record["mask"] or "none"
     if record["mask_suggested"]:
         return (
-            f"suggested (contrast {contrast:.2f}; --mask FILE or none overrules; "
+            f"suggested by {record['mask_rule']} ({contrast:.2f}; --mask FILE or none "
+            "overrules; "
             "see mask.png)"
         )
-    return f"none (no plain background: contrast {contrast:.2f})"
+    return f"none (no object found: {contrast:.2f})"
 
 
 def print_line(label: str, text: str) -> None:
