@@ -174,6 +174,12 @@ def drawn(driver):
     driver.execute_async_script(wait)
 
 
+def object_share(driver):
+    """Share of the picture that the mask takes."""
+    editor = driver.find_element(By.ID, "mask-editor")
+    return float(editor.get_attribute("data-share"))
+
+
 def dark_share(driver):
     """Share of the mask's picture that is veiled."""
     canvas = driver.find_element(By.ID, "mask-canvas")
@@ -303,11 +309,10 @@ def test_a_reload_costs_nothing_and_results_are_run_again(stand_in, tmp_path):
         address = driver.current_url
         driver.refresh()
         until(driver, lambda: can_estimate(driver))
-        assert "7 Fotos" in text(driver) and dark_share(driver) == 0 and fits(driver)
+        assert "7 Fotos" in text(driver) and object_share(driver) == 1 and fits(driver)
         upload(driver, written(tmp_path, 192, (1,)))
         until(driver, lambda: "8 Fotos" in text(driver) and can_estimate(driver))
-        assert dark_share(driver) == 0  # the mask is kept
-        press(driver, "mask-undo")  # ... but its history went with the reload
+        assert object_share(driver) == 1  # the mask is kept
         press(driver, "estimate")
         until(driver, lambda: shown(driver, "running") or shown(driver, "done"))
         assert fits(driver)
@@ -318,7 +323,7 @@ def test_a_reload_costs_nothing_and_results_are_run_again(stand_in, tmp_path):
         assert fits(driver) and "Ändern und neu berechnen" in text(driver)
         press_visible(driver, "#done-buttons [data-do=again]")
         until(driver, lambda: can_estimate(driver))
-        assert driver.current_url != address and dark_share(driver) == 0
+        assert driver.current_url != address and object_share(driver) == 1
         assert "8 Fotos" in text(driver)
         press_visible(driver, "#object p a")
         until(

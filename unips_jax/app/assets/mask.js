@@ -167,6 +167,7 @@ function count() {
   const { data } = pixelsOf(mask).getImageData(0, 0, mask.width, mask.height);
   inside = 0;
   for (let at = 3; at < data.length; at += 4) inside += data[at] > 127;
+  byId("mask-editor").dataset.share = (inside / (mask.width * mask.height)).toFixed(3);
 }
 
 /** The picture, veiled where it is not the object. */
