@@ -2,7 +2,9 @@
 
 import json
 import re
+import runpy
 import sys
+from pathlib import Path
 
 import cv2
 import evaluation_data as data
@@ -20,6 +22,7 @@ from unips_jax.io.images import write_exr
 from unips_jax.io.normals import encode_normals
 
 NO_WEIGHTS = UnipsOptions(())
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")
@@ -267,3 +270,21 @@ def test_two_folders_of_one_name(tmp_path):
     with pytest.raises(InputError, match="two methods are called 'out'; .*name="):
         load_variants(requests, NO_WEIGHTS)
     assert from_files(f"{requests[0]},name=first").label == "first"
+
+
+def test_the_example_is_the_same_as_a_function_and_as_a_program(tmp_path, monkeypatch):
+    root = data.make_diligent(tmp_path / "data", images=6, objects=("ball", "cow"))
+    monkeypatch.chdir(EXAMPLES.parent)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    work, made = tmp_path / "work", tmp_path / "made"
+    named = ["--benchmark", "diligent", "--root", str(root), "--no-pictures"]
+    command = [*named, "--objects", "ball", "cow", "--workdir", str(work)]
+    assert evaluation.main([*command, "--write-inputs", "-m", "constant"]) == 0
+    script = runpy.run_path(str(EXAMPLES / "by_example.py"))
+    script["main"](work / "inputs", made)
+    function = "python:examples.by_example:by_example:neighbours=5"
+    assert evaluation.main([*command, "-m", f"files:{made}", function]) == 0
+    found = errors_of(work)
+    assert found["made"] < 3 < 30 < found["constant"]
+    # The program's photographs were rounded to 16 bits.
+    assert found["by_example:neighbours=5"] == pytest.approx(found["made"], abs=0.05)
