@@ -28,9 +28,9 @@ def test_what_no_font_has_is_a_box(monkeypatch):
     a, b = (written(character) for character in private)
     assert a.any() and np.array_equal(a, b)
     monkeypatch.setattr(lettering, "_dejavu", lambda: "no such font.ttf")
-    lettering._font.cache_clear()
+    lettering._first_font.cache_clear()
     assert written("Größe").any()
-    lettering._font.cache_clear()
+    lettering._first_font.cache_clear()
 
 
 @pytest.mark.parametrize("name", ["inferno", "viridis"])

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+_Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 _NO_CHARACTER = "\U0010ffff"  # what fonts draw for it, they draw for all that they lack
 # Looked for by name in the system's folders, when the first of all lacks a letter.
 _OTHERS = (
@@ -43,9 +44,9 @@ def write_line(
     picture[:] = np.asarray(image)
 
 
-def _runs(text: str, size: float) -> list[tuple[ImageFont.FreeTypeFont, str]]:
+def _runs(text: str, size: float) -> list[tuple[_Font, str]]:
     """The text in pieces, each with the first font that has its letters."""
-    runs: list[tuple[ImageFont.FreeTypeFont, str]] = []
+    runs: list[tuple[_Font, str]] = []
     for character in text:
         font = _font_for(character, size)
         if runs and runs[-1][0] is font:
@@ -55,15 +56,18 @@ def _runs(text: str, size: float) -> list[tuple[ImageFont.FreeTypeFont, str]]:
     return runs
 
 
-def _font_for(character: str, size: float) -> ImageFont.FreeTypeFont:
-    first = _font("", size)
+def _font_for(character: str, size: float) -> _Font:
+    first = _first_font(size)
     if _has(first, character):
         return first
-    others = (font for name in _OTHERS if (font := _font(name, size)) is not None)
-    return next((font for font in others if _has(font, character)), first)
+    for name in _OTHERS:
+        font = _font(name, size)
+        if font is not None and _has(font, character):
+            return font
+    return first
 
 
-def _has(font: ImageFont.FreeTypeFont, character: str) -> bool:
+def _has(font: _Font, character: str) -> bool:
     if character.isspace():
         return True
     drawn, absent = font.getmask(character), font.getmask(_NO_CHARACTER)
@@ -71,12 +75,16 @@ def _has(font: ImageFont.FreeTypeFont, character: str) -> bool:
 
 
 @functools.cache
-def _font(name: str, size: float) -> ImageFont.FreeTypeFont | None:
-    """A font of the system; without a name DejaVu Sans, else Pillow's own."""
+def _first_font(size: float) -> _Font:
+    return _font(_dejavu(), size) or ImageFont.load_default(size)
+
+
+@functools.cache
+def _font(name: str, size: float) -> _Font | None:
     try:
-        return ImageFont.truetype(name or _dejavu(), size)
+        return ImageFont.truetype(name, size)
     except OSError:
-        return None if name else ImageFont.load_default(size)
+        return None
 
 
 def _dejavu() -> str:
