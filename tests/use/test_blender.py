@@ -6,6 +6,7 @@ Needs a Python with `bpy` (`UNIPS_BPY_PYTHON`); skipped without, unless
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -34,7 +35,8 @@ words = sys.argv
 if "3" in words:
     sys.exit("error: something about the photographs")
 output = Path(words[words.index("-o") + 1])
-shutil.copytree(folder / "prepared", output / "ball", dirs_exist_ok=True)
+kind = "deep" if words[1] == "deep" else "prepared"
+shutil.copytree(folder / kind, output / "ball", dirs_exist_ok=True)
 """
 
 SCENE = """
@@ -80,6 +82,28 @@ facts = {"done": sorted(done), "refusal": refusal}
 facts["heights"] = [min(heights), max(heights)]
 facts["name"], facts["faces"] = ball.name, len(ball.data.polygons)
 facts["up"] = bool(all(polygon.normal.z > 0 for polygon in ball.data.polygons))
+for thing in (ball, lamp):
+    bpy.data.objects.remove(thing)
+facts["solid"] = []
+for kind in ("flat", "deep"):
+    bpy.ops.import_scene.unips(
+        directory=folder, command=command + " " + kind, roughness=1, relief="MESH",
+        lit=True,
+    )
+    scene.render.filepath = output.replace(".png", "-" + kind)
+    solid = bpy.context.object
+    places = np.array([vertex.co for vertex in solid.data.vertices])
+    facts["solid"].append({
+        "low": places.min(0).tolist(), "high": places.max(0).tolist(),
+        "modifiers": len(solid.modifiers), "frames": scene.frame_end,
+        "lens": scene.camera.data.type,
+    })
+    for frame in (1, 2):
+        scene.frame_set(frame)
+        scene.render.filepath = output.replace(".png", f"-{kind}-{frame}.png")
+        bpy.ops.render.render(write_still=True)
+    for thing in list(scene.objects):
+        bpy.data.objects.remove(thing)
 print("FACTS" + json.dumps(facts), flush=True)
 os._exit(0)  # bpy may hang when it ends
 """
@@ -118,6 +142,22 @@ def prepare(folder):
     encoded = 1.055 * color ** (1 / 2.4) - 0.055
     cv2.imwrite(str(result / "base_color.png"), np.uint16(65535 * encoded)[..., ::-1])
     (result / "normals.json").write_text(json.dumps({"surface": surface}))
+    lamps = [
+        # A lamp from the right, and one from above with as much from all around.
+        {"file": "a.png", "direction": [0.6, 0, 0.8], "color": [0.8, 0.8, 0.8]},
+        {"file": "b.png", "direction": [0, 0.6, 0.8], "color": [0.5, 0.5, 0.5]},
+    ]
+    for lamp, around in zip(lamps, (0, 0.1), strict=True):
+        mean = lamp["color"][0] / (4 * np.pi) + around
+        lamp["harmonics"] = [[mean / 0.282095] * 3] + [[0, 0, 0]] * 8
+    (result / "lights.json").write_text(json.dumps({"photographs": lamps}))
+    # The same seen through a lens: a pixel at the middle depth is as large.
+    shutil.copytree(result, folder / "deep")
+    focal = 100.0
+    deep = (depth - np.nanmean([np.nanmin(depth), np.nanmax(depth)])) / focal + 1
+    surface = write_depth(folder / "deep", np.float32(deep), unit="mean distances")
+    surface |= {"focal_px": focal, "scale": 1.0}
+    (folder / "deep" / "normals.json").write_text(json.dumps({"surface": surface}))
     return photographs
 
 
@@ -143,8 +183,8 @@ def test_photographs_become_a_material_and_a_relief(python, tmp_path):
     low, high = facts["heights"]
     assert high - low == pytest.approx(0.9 * (1 - 0.05**0.5), abs=0.05)
     argv = json.loads((tmp_path / "argv.json").read_text())
-    given = parse(Options, argv[1:], prog="", description="")
-    assert argv[0] == "estimate" and given.how.depth and given.how.base_color
+    given = parse(Options, argv[argv.index("estimate") + 1 :], prog="", description="")
+    assert given.how.depth and given.how.base_color and given.how.lights
     assert given.weights == "tiny"
 
     # The light comes from the right and above, and reaches what faces it.
@@ -163,3 +203,31 @@ def test_photographs_become_a_material_and_a_relief(python, tmp_path):
     red, blue = image[..., 2], image[..., 0]
     rows = inner & top
     assert np.median(red[rows] / blue[rows]) == pytest.approx(3, abs=0.5)
+
+    # The mesh itself has the relief, and the lens sees it grow towards the edge.
+    flat, deep = facts["solid"]
+    assert (flat["modifiers"], flat["frames"], flat["lens"]) == (0, 2, "ORTHO")
+    assert deep["lens"] == "PERSP"
+    relief = 0.9 * (1 - 0.05**0.5)
+    for solid in (flat, deep):
+        height = np.subtract(solid["high"], solid["low"])[2]
+        assert height == pytest.approx(relief, abs=0.02)
+    widths = [np.subtract(solid["high"], solid["low"])[0] for solid in (flat, deep)]
+    assert widths[0] == pytest.approx(2 * 0.9 * 0.95**0.5, abs=0.05)
+    # The edge is half the relief behind the middle, which is 3.125 from the lens.
+    assert widths[1] / widths[0] == pytest.approx(1 + relief / 2 / 3.125, abs=0.02)
+
+    # Frames are the photographs' lights: lamps, and what comes from all around.
+    grey = np.broadcast_to(np.arange(SIZE)[:, None] >= SIZE // 2, mask.shape)
+    for kind in ("flat", "deep"):
+        for frame, towards, key, around in (
+            (1, [0.6, 0, 0.8], 0.8, 0),
+            (2, [0, 0.6, 0.8], 0.5, 0.1),
+        ):
+            file = picture.with_name(f"render-{kind}-{frame}.png")
+            image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)[..., 1] / 65535
+            expected = 0.4 * (key * np.maximum(normals @ towards, 0) + np.pi * around)
+            where = mask & (normals[..., 2] > 0.6) & (normals @ towards > 0.2) & grey
+            found = image[where] / expected[where]
+            assert np.median(found) == pytest.approx(1, abs=0.06)
+            assert np.std(found) < 0.1

@@ -1,7 +1,7 @@
 """The Meshroom node, by Meshroom's documented interface: it is on no package index.
 
-Descriptions are checked against the arguments that Meshroom's "Node Development" page
-names; computing is done by the command itself, called in this process.
+Descriptions are checked against the arguments and types that attributes of Meshroom
+2026.1.0 take; computing is done by the command itself, called in this process.
 """
 
 import contextlib
@@ -25,18 +25,27 @@ from unips_jax.io.normals import read_normals
 from unips_jax.weights import save_weights
 
 PLUGIN = Path(__file__).resolve().parents[2] / "integrations" / "meshroom"
-COMMON = {"name", "label", "description", "value", "advanced", "enabled", "exposed"}
+COMMON = set(
+    "name label description value group advanced enabled invalidate semantic visible "
+    "exposed".split()
+)
 ATTRIBUTES = {
-    "File": set(),
-    "IntParam": {"range"},
-    "StringParam": set(),
-    "ChoiceParam": {"values", "exclusive"},
+    "File": (str, set()),
+    "IntParam": (int, {"range", "validValue", "errorMessage"}),
+    "StringParam": (str, {"uidIgnoreValue", "validValue", "errorMessage"}),
+    "ChoiceParam": (
+        str,
+        {"values", "exclusive", "joinChar", "validValue", "errorMessage"},
+    ),
 }
 
 
-def attribute(kind, allowed):
+def attribute(kind, type_, allowed):
     def describe(**given):
         assert {"name", "label", "description", "value"} <= set(given) <= allowed
+        assert isinstance(given["value"], type_)
+        assert all(isinstance(end, int) for end in given.get("range", ()))
+        assert isinstance(given.get("values", []), list)
         return types.SimpleNamespace(kind=kind, **given)
 
     return describe
@@ -47,8 +56,8 @@ def node(monkeypatch):
     desc = types.ModuleType("meshroom.core.desc")
     desc.Node = type("Node", (), {})
     desc.Level = types.SimpleNamespace(INTENSIVE=3, NORMAL=1, NONE=0)
-    for kind, own in ATTRIBUTES.items():
-        setattr(desc, kind, attribute(kind, COMMON | own))
+    for kind, (type_, own) in ATTRIBUTES.items():
+        setattr(desc, kind, attribute(kind, type_, COMMON | own))
     core = types.ModuleType("meshroom.core")
     core.desc = desc
     for name in ("meshroom", "meshroom.core", "meshroom.core.desc"):
@@ -96,6 +105,7 @@ def test_descriptions_hold_what_choices_need(node):
     for attribute in node.UniPSNormals.inputs:
         if attribute.kind == "ChoiceParam":
             assert attribute.value in attribute.values
+    assert "Meshroom 2026.1.0" in node.UniPSNormals.__doc__
     (output,) = node.UniPSNormals.outputs
     assert output.value == "{nodeCacheFolder}"
 

@@ -2,7 +2,8 @@
 
 File > Import > Photographs (UniPS). The command `unips estimate` of unips_jax, in an
 environment of its own, makes normals, depth and base colour; the add-on makes of them a
-displaced mesh and a material with normal, colour and roughness.
+mesh with its relief and a material with normal, colour and roughness, and if wanted
+lamps of the photographs' estimated lights, one to a frame.
 """
 
 import json
@@ -12,14 +13,20 @@ import subprocess
 from pathlib import Path
 
 import bpy
-from bpy.props import FloatProperty, IntProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    StringProperty,
+)
 
-from . import relief
+from . import lights, relief
 
 bl_info = {
     "name": "UniPS: material from photographs",
     "author": "The unips_jax authors",
-    "version": (0, 2, 0),
+    "version": (0, 3, 0),
     "blender": (4, 2, 0),
     "location": "File > Import > Photographs (UniPS)",
     "category": "Import-Export",
@@ -51,7 +58,7 @@ def estimate(
     name = re.sub(r"\.data$", "", photographs.name)
     output = photographs.parent / f"{name}_unips"
     words = [*shlex.split(command), "estimate", str(photographs), "-o", str(output)]
-    words += ["--depth", "--base-color", "--weights", weights]
+    words += ["--depth", "--base-color", "--lights", "--weights", weights]
     if max_images:
         words += ["--max-images", str(max_images), "--seed", str(seed)]
     try:
@@ -67,13 +74,22 @@ def estimate(
     return output / name
 
 
-def build(result: Path, *, roughness: float, strength: float) -> bpy.types.Object:
+def build(
+    result: Path,
+    *,
+    roughness: float,
+    strength: float,
+    solid: bool = False,
+    lit: bool = False,
+) -> bpy.types.Object:
     """Makes an object of a folder of results.
 
     Args:
-        result: what `unips estimate --depth --base-color` wrote.
+        result: what `unips estimate --depth --base-color --lights` wrote.
         roughness: of the material; photographs are not asked for it.
-        strength: of the displacement; 1: true to the normals.
+        strength: of the relief; 1: true to the normals.
+        solid: the mesh itself has the relief, not a modifier.
+        lit: also the photographs' lights and camera.
 
     Returns:
         The object, in the scene: two units wide or high, facing +Z, y up.
@@ -85,17 +101,26 @@ def build(result: Path, *, roughness: float, strength: float) -> bpy.types.Objec
         surface = json.loads((result / "normals.json").read_text())["surface"]
         pictures = {
             name: relief.load(result / f"{name}.png", color=name == "base_color")
-            for name in ("normals", "height", "base_color")
+            for name in ("normals", "height", "depth", "base_color")
         }
+        lamps = lights.read_lights(result / "lights.json") if lit else []
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise UnipsError(f"{result}: {error}") from error
-    return relief.make_object(
+    made = relief.make_object(
         result.name,
         pictures,
-        reach=surface["far"] - surface["near"],
+        surface,
         roughness=roughness,
         strength=strength,
+        solid=solid,
     )
+    if lamps:
+        size = tuple(pictures["normals"].size)
+        focal = surface.get("focal_px") if solid else None  # modifiers have none
+        distance = relief.camera_distance(surface, size) if focal else 0
+        lights.add_lights(result.name, lamps)
+        lights.add_camera(result.name, size, focal=focal, distance=distance)
+    return made
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -128,7 +153,22 @@ class ImportPhotographs(bpy.types.Operator):
     seed: IntProperty(name="Seed", description="Of that draw", default=0, min=0)
     roughness: FloatProperty(name="Roughness", default=0.5, min=0, max=1)
     strength: FloatProperty(
-        name="Relief", description="1: true to the normals", default=1, min=0
+        name="Strength",
+        description="Of the relief; 1: true to the normals",
+        default=1,
+        min=0,
+    )
+    relief: EnumProperty(
+        name="Relief as",
+        items=[
+            ("MODIFIER", "Modifier", "Height moves a flat mesh; can be changed later"),
+            ("MESH", "Mesh", "Depth places the vertices, also in perspective"),
+        ],
+    )
+    lit: BoolProperty(
+        name="Lights",
+        description="The photographs' lights, one to a frame, and their camera",
+        default=False,
     )
     weights: StringProperty(name="Weights", default="tiny")
     command: StringProperty(
@@ -153,7 +193,13 @@ class ImportPhotographs(bpy.types.Operator):
                 max_images=self.max_images,
                 seed=self.seed,
             )
-            made = build(result, roughness=self.roughness, strength=self.strength)
+            made = build(
+                result,
+                roughness=self.roughness,
+                strength=self.strength,
+                solid=self.relief == "MESH",
+                lit=self.lit,
+            )
         except UnipsError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -29,6 +29,10 @@ class UniPSNormals(desc.Node):
     or a folder of photographs. Results have the photographs' size and are named
     POSE_normals.png (16 bits) and POSE_normals.exr. poses.json says how every pose
     went.
+
+    Checked against Meshroom 2026.1.0 (development): its documents "Node Development"
+    and "Plugins installation", and the signatures of `meshroom.core.desc`. Not yet run
+    in Meshroom itself.
     """
 
     category = "Photometric Stereo"
