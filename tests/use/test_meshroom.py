@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
-from small_networks import SMALL, lively_weights
+from small_networks import lively_network
 from training_runs import write_objects
 
 from unips_jax.cli.main import main
@@ -97,7 +97,7 @@ def compute(module, output, **values):
 def poses(tmp_path):
     (tmp_path / "set").mkdir()
     write_objects(tmp_path / "set")
-    save_weights(tmp_path / "small.safetensors", SMALL, lively_weights())
+    save_weights(tmp_path / "small.safetensors", lively_network())
     return tmp_path
 
 
