@@ -17,10 +17,10 @@ def check_types(config: Any) -> None:
     """Raises `ValueError` unless every field of a dataclass has its annotated type."""
     hints = typing.get_type_hints(type(config))
     for field in dataclasses.fields(config):
-        _require_type(field.name, getattr(config, field.name), hints[field.name])
+        require_type(field.name, getattr(config, field.name), hints[field.name])
 
 
-def _require_type(name: str, value: Any, kind: Any) -> None:
+def require_type(name: str, value: Any, kind: Any) -> None:
     """Raises `ValueError` unless the value, and every item in it, has the type."""
     every = CollectionCheckStrategy.ALL_ITEMS
     try:

@@ -16,13 +16,14 @@ from unips_jax.io import claims
 from unips_jax.io.images import check_picture
 from unips_jax.io.ps_wild import write_folder
 from unips_jax.models.config import ModelConfig
+from unips_jax.models.network import UniversalNetwork
 from unips_jax.weights import save_weights
 
 PARAMS = {"a": {"kernel": np.zeros(3, np.float32)}}
 WRITERS = {
     "write_whole": lambda folder: claims.write_whole(folder / "a", b"data"),
     "save_weights": lambda folder: save_weights(
-        folder / "a", ModelConfig.tiny(), PARAMS
+        folder / "a", UniversalNetwork(ModelConfig.tiny(), PARAMS)
     ),
     "save_params": lambda folder: save_params(folder / "a", PARAMS, "lcnet"),
     "commit": lambda folder: Store(folder).commit("a", {}, None),

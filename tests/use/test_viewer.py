@@ -196,7 +196,7 @@ def test_base_color_and_expected_error_are_shown(folder, tmp_path):
 @pytest.mark.parametrize(
     ("damage", "arguments", "message"),
     [
-        ("normals.npy", [], "all its files as they were"),
+        ("normals.npy", [], "expected the file that `unips estimate` wrote"),
         (None, ["-o", "page.txt"], "expected a name that ends in .html"),
         (None, ["--pixel-mm", "0"], "--pixel-mm 0.0: expected a length above 0"),
         (None, ["--tiles", "-o", "."], "expected a new folder"),

@@ -35,6 +35,8 @@ from unips_jax.io.normals import (
     turn_normals,
 )
 from unips_jax.io.record import print_line
+from unips_jax.io.record_schema import load_record
+from unips_jax.io.results import RECORD
 
 _OFF = 0.25  # of a length: JPEG and resizing leave less in most pixels
 _AWAY = -0.35  # z: wide lenses see what faces away by as much
@@ -83,6 +85,8 @@ def read_normal_map(
         InputError: if there are none, or no pixel has a normal.
     """
     if path.is_dir():
+        if (path / RECORD).exists():
+            load_record(path / RECORD)
         path, convention = path / "normals.npy", "opengl"
     alpha = None
     if path.suffix.lower() == ".npy":

@@ -18,6 +18,7 @@ from typing import Any
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
+from unips_jax.io.record_schema import file_of, load_record
 
 RECORD = "normals.json"
 _RESULTS = frozenset(
@@ -67,15 +68,25 @@ def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
 def read_record(folder: Path) -> dict[str, Any] | None:
     """The record of a folder of results; None unless all files are as written."""
     try:
-        record = json.loads((folder / RECORD).read_bytes())
-        whole = all(
-            file_hash(folder / name) == value
-            for name, value in record["files"].items()
-            if name not in _EDITABLE
-        )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return whole_record(folder)
+    except InputError:
         return None
-    return record if whole else None
+
+
+def whole_record(folder: Path) -> dict[str, Any]:
+    """The record of a folder of results.
+
+    Raises:
+        InputError: if there is none, or a file is not as it was written.
+    """
+    record = load_record(folder / RECORD)
+    for name, value in record["files"].items():
+        if name not in _EDITABLE and file_hash(file_of(folder, name)) != value:
+            raise InputError(
+                f"{folder / name}: expected the file that `unips estimate` wrote, got "
+                "another; estimate anew"
+            )
+    return record
 
 
 def check_target(target: Path, source: Path, *, record: str = RECORD) -> None:

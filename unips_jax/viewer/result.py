@@ -13,7 +13,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.io.images import read_bytes, read_image_file
 from unips_jax.io.normal_maps import read_normal_map
-from unips_jax.io.results import RECORD, read_record
+from unips_jax.io.results import whole_record
 from unips_jax.surface.depth_files import read_depth
 
 
@@ -95,12 +95,7 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
         InputError: if it is no such folder, its files were changed, or a photograph is
             not the one that it was, in the folder given.
     """
-    record = read_record(folder)
-    if record is None:
-        raise InputError(
-            f"{folder}: expected a folder that `unips estimate` wrote, with its "
-            f"{RECORD} and all its files as they were; estimate anew"
-        )
+    record = whole_record(folder)
     normals = read_normal_map(folder).normals
     size = normals.shape[:2]
     surface = record.get("surface") or {}
@@ -140,9 +135,11 @@ def _photographs(
     record: dict[str, Any], folder: Path | None, size: tuple[int, ...]
 ) -> tuple[Photograph, ...]:
     """Those of the record that are there, unchanged and of the normals' size."""
-    there = Path(record["folder"]) if folder is None else folder
+    there = folder or ("folder" in record and Path(record["folder"]))
+    if not there or "transfer" not in record:
+        return ()
     found = []
-    for name, digest in record["images"].items():
+    for name, digest in record.get("images", {}).items():
         path = there / name
         try:
             data = read_bytes(path)
@@ -162,7 +159,9 @@ def _photographs(
                 bright=record["transfer"] == "linear",
             )
         )
-    if record["options"].get("reader") == "official" or record.get("moved_back"):
+    if record.get("options", {}).get("reader") == "official" or record.get(
+        "moved_back"
+    ):
         return ()  # as files they do not lie on the normals
     return tuple(found)
 
