@@ -167,6 +167,16 @@ class ModelConfig:
         return self.canonical_size // 4
 
     @property
+    def sees_details(self) -> bool:
+        """Whether the encoder also sees what images twice as large have more."""
+        return False
+
+    @property
+    def input_channels(self) -> int:
+        """Channels of the encoder's images: colour, mask, and details if it has any."""
+        return 13 if self.sees_details else 4
+
+    @property
     def reads_at_corners(self) -> bool:
         """Whether a pixel reads the contexts at its corner, with zeros around them."""
         return False
@@ -281,6 +291,10 @@ class SelfCalibratingConfig(ModelConfig):
         consensus_dim: their width, a multiple of 32.
         observation_dim: width of the embedding of a pixel's observations, that scales
             and shifts its contexts.
+        fine_dim: width of the convolutions that refine the contexts on a grid twice as
+            fine, by images twice as large (see `models.fine`); 0: none.
+        light_tokens: whether the consensus knows kinds of light, by a token for each
+            (see `models.light_tokens`).
     """
 
     antialias: ClassVar[bool] = True
@@ -292,6 +306,8 @@ class SelfCalibratingConfig(ModelConfig):
     consensus_blocks: int = 6
     consensus_dim: int = 256
     observation_dim: int = 128
+    fine_dim: int = 0
+    light_tokens: bool = False
 
     def __post_init__(self) -> None:
         """Checks every field.
@@ -302,7 +318,8 @@ class SelfCalibratingConfig(ModelConfig):
         super().__post_init__()
         widths = ("ratio_dim", "consensus_dim", "observation_dim")
         require_positive(self, *widths, "consensus_blocks")
-        require_at_most(self, 2**14, *widths)
+        require_not_negative(self, "fine_dim")
+        require_at_most(self, 2**14, *widths, "fine_dim")
         require_at_most(self, 100, "consensus_blocks")
         require(
             self.consensus_dim % 32 == 0,
@@ -313,6 +330,17 @@ class SelfCalibratingConfig(ModelConfig):
     def num_blocks(self) -> int:
         """Transformer blocks of which the configuration says how many there are."""
         return super().num_blocks + self.consensus_blocks
+
+    @property
+    def sees_details(self) -> bool:
+        """Whether the encoder also sees what images twice as large have more."""
+        return self.fine_dim > 0
+
+    @property
+    def context_size(self) -> int:
+        """Side of the contexts' grid, in cells, or in nodes half a cell apart."""
+        cells = super().context_size
+        return 2 * cells + 1 if self.sees_details else cells
 
 
 NETWORKS = {"unips": UniPSConfig, "self_calibrating": SelfCalibratingConfig}

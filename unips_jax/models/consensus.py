@@ -15,6 +15,7 @@ from jax.typing import DTypeLike
 
 from unips_jax.models import ops
 from unips_jax.models.encoding import Guesses
+from unips_jax.models.light_tokens import LightTokens
 from unips_jax.models.set_attention import SAB, Dense, dense, layer_norm
 
 # Width of an attention head, and of the MLP over the block's.
@@ -32,11 +33,13 @@ class Consensus(nn.Module):
     Attributes:
         blocks: attention blocks over the map, half of them before the lights.
         features: their width, a multiple of 32.
+        light_tokens: whether kinds of light have tokens (see `models.light_tokens`).
         dtype: compute type.
     """
 
     blocks: int
     features: int
+    light_tokens: bool = False
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
@@ -71,13 +74,18 @@ class Consensus(nn.Module):
             layer_norm(self.dtype, "norm_known")(shape)
         )
         shift, gain = jnp.split(known[:, None], 2, axis=-1)
-        light = jnp.mean(ops.gelu(each + shift) * gain, axis=2)  # [B, N, F]
+        related = ops.gelu(each + shift)  # [B, N, T, F]
+        light = jnp.mean(related * gain, axis=2)  # [B, N, F]
         whole = jnp.concatenate(
             [jnp.mean(normed, axis=2), ops.largest(normed, axis=2)], axis=-1
         )
         light = light + dense(self.features, self.dtype, "whole")(whole)
         light = self._block("block_lights")(light, valid, True)
         light = layer_norm(self.dtype, "norm_lights")(light)
+        kinds = None
+        if self.light_tokens:
+            tokens = LightTokens(self.features, self.dtype, name="tokens")
+            light, kinds = tokens(related, light, valid)
 
         from_light = dense(self.features, self.dtype, "from_light")(light)
         from_shape = dense(self.features, self.dtype, "from_shape")(shape)
@@ -93,6 +101,7 @@ class Consensus(nn.Module):
         guesses = Guesses(
             normals.reshape(batch, height, width, 3),
             dense(3, self.dtype, "lights")(light),
+            kinds,
         )
         cells = cells + self._change("change_shape", channels)(shape)[:, None]
         cells = cells + self._change("change_light", channels)(light)[:, :, None]

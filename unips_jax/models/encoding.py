@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from unips_jax.models.config import ModelConfig
+from unips_jax.models.light_tokens import LightGuess
 from unips_jax.models.set_attention import SAB, AttentionKind
 
 # Images of a large set that attend to it at a time.
@@ -28,17 +29,20 @@ class Guesses(NamedTuple):
         normals: `[B, h, w, 3]`, along the normals at the contexts' cells, any length.
         lights: `[B, N, 3]`, mean directions of the images' lights (see
             `scenes.Scene.light_means`).
+        kinds: of the light; None from a network without light tokens.
     """
 
     normals: Array
     lights: Array
+    kinds: LightGuess | None = None
 
 
 class Encoded(NamedTuple):
     """What an encoder makes of sets of images.
 
     Attributes:
-        contexts: the global lighting contexts, `[..., N, s/4, s/4, context_dim]`.
+        contexts: the global lighting contexts, `[..., N, g, g, context_dim]`, where g
+            is `ModelConfig.context_size`.
         guesses: see there; None from a network that makes none.
     """
 

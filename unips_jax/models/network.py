@@ -273,7 +273,7 @@ def read_contexts(
 def init_params(config: ModelConfig, key: Array) -> Params:
     """Initialises a network; pure, so that it can be jitted or shape-evaluated."""
     # No parameter depends on the images' size: the smallest costs least.
-    images, pixels = jnp.zeros((1, 4, 4, 4)), jnp.zeros((1, 1, 3))
+    images, pixels = jnp.zeros((1, 4, 4, config.input_channels)), jnp.zeros((1, 1, 3))
     places = jnp.zeros(1)
     return EncoderDecoder(config).init(key, images, pixels, places, places)["params"]
 

@@ -11,6 +11,8 @@ paper's network (`models.unips`) has no place for the lights. This one differs f
 - no ReLUs in and after the pyramid pooling: where they are all off, the coarsest stage
   is cut off for good;
 - the images agree on one shape, and on each one's light (`models.consensus`);
+- if so configured, contexts end on a finer grid (`models.fine`), and the consensus
+  knows kinds of light (`models.light_tokens`);
 - images are resized with antialiasing, and normals are the mean over the images and
   the mirrored images (`estimation`).
 
@@ -33,6 +35,7 @@ from unips_jax.models.encoding import (
     communications,
     whole,
 )
+from unips_jax.models.fine import Fine
 from unips_jax.models.set_attention import layer_norm
 from unips_jax.models.swin import PatchEmbed, SwinStage
 from unips_jax.models.upernet import UPerNet
@@ -52,16 +55,23 @@ def image_ratios(images: Array, valid: Array | None = None) -> Array:
         `[..., N, s, s, 3]`: the ratio of the brightness to its mean over the set, that
         ratio's logarithm, and the mean's; zero outside the mask.
     """
-    inside = images[..., 3:]
-    light = jnp.maximum(jnp.mean(images[..., :3], axis=-1, keepdims=True), 0)
-    where = None
-    if valid is not None:
-        where = ops.leading(valid[:, None, None, None], light.ndim)
-    mean = jnp.mean(light, axis=-4, keepdims=True, where=where)
-    mean = jnp.broadcast_to(mean, light.shape)
+    inside, light = images[..., 3:], _brightness(images)
+    mean = jnp.broadcast_to(set_mean(images, valid), light.shape)
     logarithm = jnp.log(mean + _DARK)
     ratios = [light / (mean + _DARK), jnp.log(light + _DARK) - logarithm, logarithm]
     return jnp.concatenate([inside * x for x in ratios], axis=-1)
+
+
+def set_mean(images: Array, valid: Array | None = None) -> Array:
+    """The brightness of each place in the mean over the set: `[..., 1, s, s, 1]`."""
+    light, where = _brightness(images), None
+    if valid is not None:
+        where = ops.leading(valid[:, None, None, None], light.ndim)
+    return jnp.mean(light, axis=-4, keepdims=True, where=where)
+
+
+def _brightness(images: Array) -> Array:
+    return jnp.maximum(jnp.mean(images[..., :3], axis=-1, keepdims=True), 0)
 
 
 class Encoder(nn.Module):
@@ -89,7 +99,11 @@ class Encoder(nn.Module):
         self.fusion = UPerNet(
             config.context_dim, config.pool_scales, linear_pooling=True, dtype=dtype
         )
-        self.consensus = Consensus(config.consensus_blocks, config.consensus_dim, dtype)
+        self.consensus = Consensus(
+            config.consensus_blocks, config.consensus_dim, config.light_tokens, dtype
+        )
+        if config.sees_details:
+            self.fine = Fine(config.fine_dim, dtype)
 
     def __call__(
         self,
@@ -101,6 +115,7 @@ class Encoder(nn.Module):
         by_place: Pieces = whole,
     ) -> Encoded:
         """Computes the contexts and the guesses; arguments as in `models.unips`."""
+        images, details = images[..., :4], images[..., 4:]
         *sets, height, width, channels = images.shape
         ratios = image_ratios(images, valid)
         # The ratios' embedding sees the mask too.
@@ -121,7 +136,13 @@ class Encoder(nn.Module):
         changed, guesses = self.consensus(
             contexts.reshape(-1, sets[-1], *contexts.shape[1:]), valid
         )
-        return Encoded(changed.reshape(*sets, *contexts.shape[1:]), guesses)
+        contexts = changed.reshape(-1, *contexts.shape[1:])
+        if self.config.sees_details:
+            relative = details / (set_mean(images, valid) + _DARK)
+            seen = jnp.concatenate([related, details, relative], axis=-1)
+            seen = seen.reshape(-1, height, width, seen.shape[-1])
+            contexts = by_image(self.fine, (contexts, seen))
+        return Encoded(contexts.reshape(*sets, *contexts.shape[1:]), guesses)
 
 
 class Observation(nn.Module):

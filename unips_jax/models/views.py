@@ -41,7 +41,8 @@ class Views(NamedTuple):
     """An object as the encoder sees it: V views, the images and the mirrored ones.
 
     Attributes:
-        images: `[V, N, s, s, 4]`, normalised RGB times mask, and the mask.
+        images: `[V, N, s, s, 4]`, normalised RGB times mask, and the mask; then nine
+            more channels where the network sees details (`detail_bands`).
         frame: where they are in the image, or in the mirrored image, `[V]` each.
         mirrored: `[V]`, bool: which views are of the mirrored images.
         width: columns of the image, int32.
@@ -68,9 +69,7 @@ def make_views(
     def view(step: int) -> tuple[Array, Frame]:
         inside = mask[:, ::step]
         frame = square_frame(inside, kind)
-        size, antialias = config.canonical_size, config.antialias
-        seen = canonical_images(images[:, :, ::step], inside, frame, size, antialias)
-        return seen, frame
+        return encoder_images(images[:, :, ::step], inside, frame, config), frame
 
     steps = _steps(config)
     views = [view(step) for step in steps]
@@ -105,21 +104,31 @@ def photograph_views(
         masked pixels and channels.
     """
     size, steps = config.canonical_size, _steps(config)
-    shape = (len(steps), padded or len(images), size, size, 4)
+    shape = (len(steps), padded or len(images), size, size, config.input_channels)
+    sizes = (size, 2 * size) if config.sees_details else (size,)
     seen, gains = np.zeros(shape, np.float32), np.ones(len(images), np.float32)
     frames = []
     for v, step in enumerate(steps):
         inside = mask[:, ::step]
         frame = square_frame(inside, kind)
         weights = tuple(
-            resize_weights(start, frame.side, size, length, config.antialias)
-            for start, length in zip((frame.top, frame.left), mask.shape, strict=True)
+            np.concatenate(
+                [
+                    resize_weights(start, frame.side, s, n, config.antialias)
+                    for s in sizes
+                ]
+            )
+            for start, n in zip((frame.top, frame.left), mask.shape, strict=True)
         )
         for i, image in enumerate(images):
             resized, total = _resized(image[:, ::step], inside, frame, weights, linear)
             if total > 0:
                 gains[i] = 3 * np.count_nonzero(mask) / total
-            seen[v, i] = _seen(resized, inside, frame, gains[i], config.antialias)
+            parts = (resized[:size, :size], resized[size:, size:])[: len(sizes)]
+            gain, antialias = gains[i], config.antialias
+            seen[v, i] = _with_details(
+                *(_seen(part, inside, frame, gain, antialias) for part in parts)
+            )
         frames.append(frame)
     frame = jax.tree.map(lambda *view: np.stack(view), *frames)
     mirrored, width = np.array([step < 0 for step in steps]), np.int32(mask.shape[1])
@@ -175,13 +184,17 @@ def context_cells(
         config: the network's configuration.
 
     Returns:
-        Rows and columns in cells, `[P]` each; 0 is the centre of the first cell.
+        Rows and columns in cells, `[P]` each; 0 is the centre of the first cell, or the
+        first node.
     """
     offset = 0.0 if config.reads_at_corners else 0.5
-    scale = config.context_size / frame.side.astype(float)
+    # Of cells the first one's centre is place 0, of nodes the first one, at the border.
+    nodes = config.sees_details
+    cells, first = config.context_size - nodes, 0.0 if nodes else 0.5
+    scale = cells / frame.side.astype(float)
     return (
-        ((rows - frame.top).astype(float) + offset) * scale - 0.5,
-        ((columns - frame.left).astype(float) + offset) * scale - 0.5,
+        ((rows - frame.top).astype(float) + offset) * scale - first,
+        ((columns - frame.left).astype(float) + offset) * scale - first,
     )
 
 
@@ -252,6 +265,40 @@ def canonical_images(
     return jnp.concatenate(
         [resized * inside, jnp.broadcast_to(inside, (*resized.shape[:-1], 1))], axis=-1
     )
+
+
+def encoder_images(
+    images: Array, mask: Array, frame: Frame, config: ModelConfig
+) -> Array:
+    """What the encoder sees in a frame: `[N, s, s, 4]`, and details if it sees any.
+
+    `images [N, H, W, 3]` are normalised, `mask [H, W]` is bool.
+    """
+    sizes = (1, 2) if config.sees_details else (1,)
+    size, antialias = config.canonical_size, config.antialias
+    seen = (canonical_images(images, mask, frame, n * size, antialias) for n in sizes)
+    return _with_details(*seen)
+
+
+def detail_bands(twice: Any) -> Any:
+    """The Haar bands of larger images: `[..., 2s, 2s, 4]` to `[..., s, s, 9]`.
+
+    Differences across columns, across rows and across diagonals, zero where the mask
+    (the last channel) leaves out one of the four pixels.
+    """
+    *sets, height, width, channels = twice.shape
+    x = twice.reshape(*sets, height // 2, 2, width // 2, 2, channels)
+    (a, b), (c, d) = ([x[..., i, :, j, :] for j in (0, 1)] for i in (0, 1))
+    inside = a[..., 3:] * b[..., 3:] * c[..., 3:] * d[..., 3:]
+    bands = (a - b + c - d, a + b - c - d, a - b - c + d)
+    xp = _numpy_of(twice)
+    return xp.concatenate([inside * band[..., :3] for band in bands], axis=-1) / 2
+
+
+def _with_details(images: Any, twice: Any = None) -> Any:
+    if twice is None:
+        return images
+    return _numpy_of(images).concatenate([images, detail_bands(twice)], axis=-1)
 
 
 def resize_weights(

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from unips_jax.models.config import SelfCalibratingConfig
 from unips_jax.scenes import render_batch
 from unips_jax.training.config import Config
 from unips_jax.training.folders import draw_num_images, folder_batches
@@ -29,8 +30,8 @@ def make_batches(
 
     Yields:
         `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and, of
-        scenes where the network has use for them, `lights [B, N, 3]` and `material
-        [B, H, H, 5]`, base colour, roughness and metallic.
+        scenes where the network has use for them, `lights [B, N, 3]` and `incident`
+        (`scenes.IncidentLight`, `[B, N, ...]`).
     """
     data, seed = config.data, config.train.seed
     scene_share = {"scenes": 1.0, "folders": 0.0}.get(data.source, data.scene_share)
@@ -68,6 +69,8 @@ def _scene_renderer(
     compiling: Callable[[str], AbstractContextManager[None]],
 ) -> Callable[[int], Batch]:
     data, sharding = config.data, batch_sharding(mesh)
+    model = config.model
+    kinds = isinstance(model, SelfCalibratingConfig) and model.light_tokens
 
     # Scenes always have the largest number of images: one compilation serves all.
     @functools.partial(jax.jit, out_shardings=sharding)
@@ -78,15 +81,18 @@ def _scene_renderer(
             size=data.image_size,
             num_images=max(data.num_images),
             config=config.scenes,
+            incident=kinds,
         )
         batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
-        if config.model.guesses:  # others would be compiled for them in vain
+        if model.guesses:  # others would be compiled for them in vain
             batch["lights"] = scene.light_means
+        if kinds:
+            batch["incident"] = scene.incident
         return batch
 
     @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)
-    def take(x: jax.Array, count: int) -> jax.Array:
-        return x[:, :count]
+    def take(sets: Batch, count: int) -> Batch:
+        return jax.tree.map(lambda x: x[:, :count], sets)
 
     with compiling("what makes the scenes"):
         compiled = render.lower(np.int32(0)).compile()
@@ -94,7 +100,7 @@ def _scene_renderer(
     def scenes(step: int) -> Batch:
         batch = compiled(np.int32(step))
         count = draw_num_images(data.num_images, config.train.seed, step)
-        sets = (name for name in ("images", "lights") if name in batch)
-        return {**batch, **{name: take(batch[name], count) for name in sets}}
+        names = {"images", "lights", "incident"} & batch.keys()
+        return batch | take({name: batch[name] for name in names}, count)
 
     return scenes

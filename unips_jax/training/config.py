@@ -32,6 +32,7 @@ class DataConfig:
             masked ones if there are fewer).
         max_tokens: upper bound on set size times pixels drawn per object, to even out
             the cost of large sets; 0: no bound.
+        pixel_blocks: draw them in blocks of 2 x 2, whose pixels are compared too.
         grid_loss: also decode every pixel of the contexts' grid, the first of the
             paper's two samplings.
         augment: the paper's four augmentations. They turn images on their side and
@@ -49,6 +50,7 @@ class DataConfig:
     num_images: tuple[int, ...] = tuple(range(2, 11))
     num_pixels: int = 2500
     max_tokens: int = 0
+    pixel_blocks: bool = False
     grid_loss: bool = True
     augment: bool = True
     workers: int = 0
@@ -69,6 +71,10 @@ class DataConfig:
         require(
             0 <= self.scene_share <= 1,
             f"scene_share: expected a share in [0, 1], got {self.scene_share}",
+        )
+        require(
+            not (self.pixel_blocks and self.grid_loss),
+            "pixel_blocks: expected no grid_loss with them, got both",
         )
 
     def pixels_for(self, num_images: int) -> int:
@@ -155,6 +161,11 @@ class TrainConfig:
         coarse_guess_weight: what the consensus' guess of coarse normals weighs in the
             loss, next to the normals' own distance.
         lights_guess_weight: what its guess of where the lights are weighs there.
+        kinds_guess_weight: what its guesses of the kinds of light weigh there, if the
+            network makes any (`light_tokens`).
+        steepness_weight: pixels count by the exponential of this times how much the
+            true normals change within their block of 2 x 2; 0: all the same.
+        differences_weight: what the differences between the pixels of a block weigh.
         log_every: steps between metric lines, each of their means since the one before.
         checkpoint_every: steps between checkpoints.
         keep: how many checkpoints are kept.
@@ -168,6 +179,9 @@ class TrainConfig:
     squared_loss: bool = True
     coarse_guess_weight: float = 0.5
     lights_guess_weight: float = 0.25
+    kinds_guess_weight: float = 0.1
+    steepness_weight: float = 0.0
+    differences_weight: float = 0.0
     log_every: int = 20
     checkpoint_every: int = 500
     keep: int = 2
@@ -180,8 +194,9 @@ class TrainConfig:
         check_types(self)
         rhythm = ("log_every", "checkpoint_every", "keep", "validate_every")
         require_positive(self, "steps", *rhythm, "validation_images")
-        weights = ("coarse_guess_weight", "lights_guess_weight")
-        require_not_negative(self, "seed", *weights, "validation_scenes")
+        guesses = ("coarse_guess_weight", "lights_guess_weight", "kinds_guess_weight")
+        blocks = ("steepness_weight", "differences_weight")
+        require_not_negative(self, "seed", *guesses, *blocks, "validation_scenes")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -203,3 +218,17 @@ class Config:
     optim: OptimConfig = OptimConfig()
     mesh: MeshConfig = MeshConfig()
     train: TrainConfig = TrainConfig()
+
+    def __post_init__(self) -> None:
+        """Checks what fields of different parts mean together."""
+        data, train = self.data, self.train
+        require(
+            not (self.model.sees_details and data.grid_loss),
+            "fine_dim: expected no grid_loss with it (--data.no-grid-loss), got both",
+        )
+        require(
+            data.pixel_blocks
+            or not (train.steepness_weight or train.differences_weight),
+            "steepness_weight, differences_weight: expected blocks of pixels "
+            "(--data.pixel-blocks), got none",
+        )

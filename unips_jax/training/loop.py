@@ -56,6 +56,8 @@ _MALLOC = "MALLOC_MMAP_MAX_"
 _KEEP_MEMORY = f"MALLOC_ARENA_MAX=1 {_MALLOC}=0 MALLOC_TRIM_THRESHOLD_=-1"
 # Fields of a network that do not change what its parameters mean.
 _SAME_PARAMETERS = {"remat", "dtype", "dropout_rate", "drop_path_rate"}
+# Fields that add parts to a network without a change to what it gives at first.
+_NEW_PARTS = {"fine_dim", "light_tokens"}
 
 
 def train(
@@ -201,7 +203,9 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
     changed = {
         name: (value, run.get(name))
         for name, value in own.items()
-        if name not in _SAME_PARAMETERS and run.get(name) != value
+        if name not in _SAME_PARAMETERS
+        and run.get(name) != value
+        and not (name in _NEW_PARTS and not value)
     }
     if changed:
         raise InputError(
@@ -211,10 +215,20 @@ def _start_from(state: TrainState, source: str, config: Config) -> TrainState:
     place = functools.partial(
         jax.tree.map, lambda new, old: jax.device_put(new, old.sharding)
     )
-    placed = place(network.params, state.params)
+    placed = place(_with_new_parts(network.params, state.params), state.params)
     # A copy: the step gives both buffers away, which must not be the same.
     ema = None if state.ema_params is None else jax.tree.map(jnp.copy, placed)
     return state._replace(params=placed, ema_params=ema)
+
+
+def _with_new_parts(params: Any, drawn: Any) -> Any:
+    """Parameters, with those drawn for the parts that they lack."""
+    if not isinstance(drawn, dict):
+        return params
+    return {
+        name: _with_new_parts(params[name], part) if name in params else part
+        for name, part in drawn.items()
+    }
 
 
 def _validate_and_keep_best(

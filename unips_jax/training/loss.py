@@ -29,10 +29,20 @@ from unips_jax.models.views import (
     Views,
     canonical_images,
     context_cells,
+    encoder_images,
     normalize_images,
     square_frame,
 )
+from unips_jax.scenes.incident import IncidentLight
 from unips_jax.training.chunked_sum import chunked_sum
+from unips_jax.training.light_loss import light_losses
+from unips_jax.training.pixels import (
+    BLOCK,
+    draw_blocks,
+    draw_pixels,
+    neighbour_distances,
+    steepness,
+)
 
 
 class Objects(NamedTuple):
@@ -43,12 +53,14 @@ class Objects(NamedTuple):
         mask: `[B, H, W]`, bool.
         normals: `[B, H, W, 3]`, unit length inside the mask.
         lights: `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown.
+        incident: arrays `[B, N, ...]`; None: unknown.
     """
 
     images: Array
     mask: Array
     normals: Array
     lights: Array | None = None
+    incident: IncidentLight | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,6 +74,11 @@ class LossOptions:
         squared_loss: the distances of the normals are squared, as in the paper.
         coarse_guess_weight: of the guess of coarse normals; the normals have 1.
         lights_guess_weight: of the guess of the lights.
+        kinds_guess_weight: of the guesses of the kinds of light.
+        pixel_blocks: pixels are drawn in blocks of 2 x 2; not with `grid_loss`.
+        steepness_weight: pixels count by the exponential of this times how much the
+            true normals change within their block; 0: all the same.
+        differences_weight: of the differences between the pixels of a block.
     """
 
     num_pixels: int
@@ -70,6 +87,10 @@ class LossOptions:
     squared_loss: bool = True
     coarse_guess_weight: float = 0.5
     lights_guess_weight: float = 0.25
+    kinds_guess_weight: float = 0.1
+    pixel_blocks: bool = False
+    steepness_weight: float = 0.0
+    differences_weight: float = 0.0
 
 
 def squared_distance(predicted: Array, true: Array) -> Array:
@@ -85,24 +106,6 @@ def plain_distance(squared: Array) -> Array:
 def mean_weights(mask: Array) -> Array:
     """Weights `[P]` of masked pixels in their mean; all zero for an empty mask."""
     return mask / jnp.maximum(jnp.sum(mask), 1)
-
-
-def draw_pixels(mask: Array, count: int, key: Array) -> tuple[Array, Array]:
-    """Draws masked pixels uniformly, without replacement.
-
-    Args:
-        mask: `[H, W]`, bool.
-        count: how many.
-        key: for the draw.
-
-    Returns:
-        Indices `[count]` into the flattened image, and which of them are masked pixels,
-        `[count]`: fewer than `count` where the mask is smaller.
-    """
-    flat = mask.reshape(-1)
-    order = jnp.where(flat, jax.random.uniform(key, flat.shape), -1)
-    chosen, index = jax.lax.top_k(order, min(count, flat.size))
-    return index, chosen >= 0
 
 
 def training_loss(
@@ -127,7 +130,8 @@ def training_loss(
 
     Returns:
         The loss, and metrics: the mean angular error in degrees over the drawn pixels,
-        and the mean distances of the guesses ("coarse", "lights") where there are any.
+        and the mean distances of the guesses ("coarse", "lights", "harmonics", "lamps")
+        where there are any.
     """
     # On CPU the decoder's chunks are small: nothing to recompute.
     on_cpu = jax.default_backend() == "cpu"
@@ -155,7 +159,8 @@ def training_loss(
         sampled = jnp.concatenate([cells, sampled], axis=1)
 
     def score(decoder: Any, sets: Any, truth: Any) -> tuple[Array, Array]:
-        """Weighted distances of a chunk's pixels; cosines `[p, B]`."""
+        """Weighted distances of a chunk's blocks; cosines `[p, block, B]`."""
+        sets, truth = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (sets, truth))
         observed, sampled = (jnp.moveaxis(x, 0, 1) for x in sets)  # [B, p, N, C]
         index, true, weights = truth
         key = jax.random.fold_in(decoder_key, index[0])
@@ -165,18 +170,34 @@ def training_loss(
             sampled,
             dropout=None if deterministic else key,
         )
-        squared = squared_distance(jnp.moveaxis(predicted, 1, 0), true)  # [p, B]
-        loss = squared if options.squared_loss else plain_distance(squared)
-        return jnp.sum(weights * loss), 1 - squared / 2
+        predicted = jnp.moveaxis(predicted, 1, 0)
+        squared = squared_distance(predicted, true)  # [p, B]
+        loss = jnp.sum(weights * distance(squared))
+        if options.differences_weight:
+            change, pairs = neighbour_distances(predicted, true, weights)
+            loss += options.differences_weight * jnp.sum(pairs * distance(change))
+        return loss, (1 - squared / 2).reshape(-1, block, batch)
 
-    true, weights = (jnp.swapaxes(x, 0, 1) for x in (prepared.true, prepared.weights))
+    distance = (lambda x: x) if options.squared_loss else plain_distance
+    block = BLOCK if options.pixel_blocks else 1
+
+    def in_blocks(x: Array) -> Array:
+        return x.reshape(-1, block, *x.shape[1:])
+
+    true, weights, counted = (
+        jnp.swapaxes(x, 0, 1)
+        for x in (prepared.true, prepared.weights, prepared.counted)
+    )
+    sets = (jnp.swapaxes(x, 0, 1) for x in (prepared.observed, sampled))
+    truth = jnp.arange(len(true)), true, counted / batch
     loss, cosine = chunked_sum(
         score,
         {"decoder": network.params["decoder"]},
-        tuple(jnp.swapaxes(x, 0, 1) for x in (prepared.observed, sampled)),
-        (jnp.arange(len(true)), true, weights / batch),
-        max(1, CHUNK_TOKENS // (batch * num_images)) if on_cpu else None,
+        tuple(map(in_blocks, sets)),
+        tuple(map(in_blocks, truth)),
+        max(1, CHUNK_TOKENS // (batch * num_images * block)) if on_cpu else None,
     )
+    cosine = cosine.reshape(-1, batch)
     drawn = prepared.cells[0].shape[1]
     degrees = jnp.rad2deg(jnp.arccos(jnp.clip(cosine[-drawn:], -1, 1)))
     metrics = {"mae_deg": jnp.sum(weights[-drawn:] * degrees) / batch}
@@ -185,6 +206,8 @@ def training_loss(
         guess_weights = {
             "coarse": options.coarse_guess_weight,
             "lights": options.lights_guess_weight,
+            "harmonics": options.kinds_guess_weight,
+            "lamps": options.kinds_guess_weight,
         }
         loss = loss + sum(guess_weights[name] * x for name, x in losses.items())
         metrics |= losses
@@ -214,6 +237,8 @@ def _guess_losses(
     if objects.lights is not None:
         squared = squared_distance(guesses.lights, objects.lights)
         losses["lights"] = jnp.mean(plain_distance(squared))
+    if objects.incident is not None and guesses.kinds is not None:
+        losses |= light_losses(guesses.kinds, objects.incident)
     return losses
 
 
@@ -227,7 +252,8 @@ class _Prepared(NamedTuple):
     observed: Array  # [G + P, N, 3]
     cells: tuple[Array, Array]  # rows and columns on the contexts' grid, [P] each
     true: Array  # [G + P, 3]
-    weights: Array  # [G + P], of the pixels in the loss
+    weights: Array  # [G + P], of the pixels in a mean
+    counted: Array  # [G + P], of the pixels in the loss
 
 
 def _prepare(
@@ -241,14 +267,16 @@ def _prepare(
 ) -> _Prepared:
     images = normalize_images(images, mask)
     frame: Frame = square_frame(mask, options.frame)
-    seen = canonical_images(
-        images, mask, frame, config.canonical_size, config.antialias
-    )
-    index, drawn = draw_pixels(mask, options.num_pixels, key)
+    seen = encoder_images(images, mask, frame, config)
+    draw = draw_blocks if options.pixel_blocks else draw_pixels
+    index, drawn = draw(mask, options.num_pixels, key)
     n, _, width, _ = images.shape
     observed = jnp.take(images.reshape(n, -1, 3), index, axis=1)
     true = jnp.take(normals.reshape(-1, 3), index, axis=0)
-    weights = mean_weights(drawn)
+    weights = counted = mean_weights(drawn)
+    if options.steepness_weight:
+        steep = jnp.exp(options.steepness_weight * steepness(true, drawn))
+        counted = mean_weights(drawn * steep)
     if options.grid_loss:
         grid = config.context_size
         small = canonical_images(images, mask, frame, grid)
@@ -256,10 +284,12 @@ def _prepare(
         small_true = canonical_images(normals[None], mask, frame, grid)[0, ..., :3]
         true = jnp.concatenate([ops.normalize(small_true).reshape(-1, 3), true])
         weights = jnp.concatenate([mean_weights(small[0, ..., 3].reshape(-1)), weights])
+        counted = weights
     return _Prepared(
         Views(seen, frame, jnp.zeros((), bool), jnp.asarray(width, jnp.int32)),
         jnp.swapaxes(observed, 0, 1),
         cells=context_cells(index // width, index % width, frame, config),
         true=true,
         weights=weights,
+        counted=counted,
     )

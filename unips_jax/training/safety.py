@@ -90,9 +90,15 @@ def check_finite(
     if np.isfinite(loss) and np.isfinite(float(metrics["grad_norm"])):
         return
     path = workdir / f"nonfinite_step{step}.npz"
-    arrays = to_host(batch)
+    arrays, _ = jax.tree.flatten_with_path(to_host(batch))
     if jax.process_index() == 0:
-        np.savez(path, **arrays)
+        np.savez(
+            path,
+            **{
+                jax.tree_util.keystr(k, simple=True, separator="."): x
+                for k, x in arrays
+            },
+        )
     raise FloatingPointError(
         f"step {step}: loss {loss} or its gradient is not finite; the batch is in "
         f"{path}. The same run would come here again: choose another --workdir, a "

@@ -14,14 +14,15 @@ from unips_jax.training.loss import LossOptions, Objects, training_loss
 from unips_jax.training.optimizer import make_optimizer
 from unips_jax.training.state import TrainState
 
-Batch = dict[str, Array]
+Batch = dict[str, Any]  # arrays; see `Objects`
 
 
 def augment(scene: Objects, key: Array) -> Objects:
     """The paper's four augmentations of one object, each with probability one half.
 
     Args:
-        scene: one object, without a leading axis; its images are square.
+        scene: one object, without a leading axis; its images are square. Its incident
+            light is left out: it is not turned.
         key: for the draws.
 
     Returns:
@@ -35,7 +36,7 @@ def augment(scene: Objects, key: Array) -> Objects:
     horizontal, vertical, transpose = jax.random.bernoulli(flip_key, 0.5, (3,))
 
     def apply(scene: Objects, when: Array, change: Any, turn: Any) -> Objects:
-        images, mask, normals, lights = scene
+        images, mask, normals, lights, _ = scene
         turned = Objects(
             jax.vmap(change)(images),
             change(mask),
@@ -44,6 +45,7 @@ def augment(scene: Objects, key: Array) -> Objects:
         )
         return jax.tree.map(functools.partial(jnp.where, when), turned, scene)
 
+    scene = scene._replace(incident=None)
     dtype = scene.normals.dtype
     signs = jnp.array([-1, 1, 1], dtype)
     scene = apply(scene, horizontal, lambda x: x[:, ::-1], lambda n: n * signs)
@@ -76,7 +78,7 @@ def batch_loss(
     Args:
         params: the network's parameters.
         batch: `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and
-            `lights [B, N, 3]` where they are known.
+            `lights [B, N, 3]` and `incident` where they are known.
         key: for augmentation, pixels and dropout.
         config: of the run.
 
@@ -96,6 +98,10 @@ def batch_loss(
         squared_loss=train.squared_loss,
         coarse_guess_weight=train.coarse_guess_weight,
         lights_guess_weight=train.lights_guess_weight,
+        kinds_guess_weight=train.kinds_guess_weight,
+        pixel_blocks=data.pixel_blocks,
+        steepness_weight=train.steepness_weight,
+        differences_weight=train.differences_weight,
     )
     network = UniversalNetwork(config.model, params)
     return training_loss(network, objects, keys[1], options)

@@ -1,0 +1,154 @@
+"""Losses that look at neighbours and at kinds of light."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_networks import SMALL_OURS, lively_weights
+
+from unips_jax.models.light_tokens import LightGuess
+from unips_jax.models.network import UniversalNetwork
+from unips_jax.scenes.incident import IncidentLight
+from unips_jax.training import loss as losses
+from unips_jax.training.config import Config, DataConfig, TrainConfig
+from unips_jax.training.light_loss import light_losses
+from unips_jax.training.loss import LossOptions, Objects, training_loss
+from unips_jax.training.pixels import draw_blocks, neighbour_distances, steepness
+
+
+def test_blocks_are_neighbours_on_the_mask():
+    mask = np.random.default_rng(0).random((10, 14)) > 0.6
+    index, inside = draw_blocks(jnp.asarray(mask), 61, jax.random.key(0))
+    assert index.shape == (60,)
+    blocks = np.asarray(index).reshape(-1, 4)
+    np.testing.assert_array_equal(blocks - blocks[:, :1], [[0, 1, 14, 15]] * 15)
+    np.testing.assert_array_equal(inside, mask.reshape(-1)[index])
+    assert np.asarray(inside).reshape(-1, 4).any(axis=1).all()
+    assert len(set(np.asarray(index))) == 60
+
+
+def test_steepness_and_differences_by_hand():
+    flat, step = np.zeros((4, 3), np.float32), np.zeros((4, 3), np.float32)
+    step[[1, 3], 0] = 0.5  # the right column differs: two of four pairs
+    normals = jnp.asarray(np.concatenate([flat, step]))
+    inside = jnp.ones(8, bool)
+    np.testing.assert_allclose(
+        steepness(normals, inside), [0] * 4 + [0.25] * 4, atol=1e-6
+    )
+    one_outside = inside.at[7].set(False)  # leaves one steep pair of two
+    np.testing.assert_allclose(steepness(normals, one_outside)[4:], 0.25, atol=1e-6)
+    weights = jnp.where(one_outside, 0.1, 0.0)
+    squared, pairs = neighbour_distances(jnp.zeros((8, 3)), normals, weights)
+    np.testing.assert_allclose(squared, [[0] * 4, [0.25, 0.25, 0, 0]])
+    np.testing.assert_allclose(pairs, [[0.1] * 4, [0.1, 0, 0.1, 0]])
+
+
+def objects():
+    rng = np.random.default_rng(0)
+    normals = rng.normal(size=(2, 16, 16, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return Objects(
+        jnp.asarray(rng.random((2, 3, 16, 16, 3)), jnp.float32),
+        jnp.asarray(rng.random((2, 16, 16)) > 0.3),
+        jnp.asarray(normals, jnp.float32),
+    )
+
+
+BLOCKS = LossOptions(num_pixels=400, grid_loss=False, pixel_blocks=True)
+
+
+def test_whole_objects_have_the_same_error_in_blocks(monkeypatch):
+    """All pixels drawn: blocks change their order, and pieces change nothing."""
+    network = UniversalNetwork(SMALL_OURS, lively_weights(SMALL_OURS))
+    keys = jax.random.split(jax.random.key(1), 2)
+
+    def run(options):
+        loss = jax.jit(training_loss, static_argnames="options")
+        value, metrics = loss(network, objects(), keys, options=options)
+        return float(value), float(metrics["mae_deg"])
+
+    plain = run(dataclasses.replace(BLOCKS, pixel_blocks=False))
+    whole = run(BLOCKS)
+    np.testing.assert_allclose(whole, plain, rtol=1e-5)
+    both = dataclasses.replace(BLOCKS, steepness_weight=1.0, differences_weight=0.1)
+    weighed = run(both)
+    assert weighed[1] == pytest.approx(plain[1], rel=1e-5)
+    assert weighed[0] > 1.05 * plain[0]
+    monkeypatch.setattr(losses, "CHUNK_TOKENS", 60)  # blocks by twos
+    np.testing.assert_allclose(run(both), weighed, rtol=1e-5)
+
+
+def lamp(**fields):
+    """A distant lamp from the right that is half of the light, in one image."""
+    harmonics = np.zeros((1, 1, 9, 3), np.float32)
+    harmonics[..., 0, :] = [2.0, 4.0, 6.0]
+    known = jnp.ones((1, 1), bool)
+    light = IncidentLight(
+        jnp.asarray(harmonics),
+        jnp.asarray([[[1.0, 0.0, 0.0]]]),
+        jnp.full((1, 1), 0.5),
+        jnp.zeros((1, 1)),
+        known,
+        known,
+    )
+    return light._replace(**fields)
+
+
+def right_guess():
+    guess = jnp.zeros((1, 1, 9, 3)).at[..., 0, :].set(jnp.array([0.5, 1.0, 1.5]))
+    far, off = jnp.asarray([[[3.0, 0.0, 0.0]]]), jnp.full((1, 1), -50.0)
+    return LightGuess(guess, 0 * far, jnp.zeros((1, 1)), off, far, jnp.zeros((1, 1)))
+
+
+def test_right_guesses_cost_nothing():
+    for value in light_losses(right_guess(), lamp()).values():
+        assert float(value) == pytest.approx(0, abs=1e-6)
+    near = lamp(lamp_nearness=jnp.full((1, 1), 0.4))
+    assert light_losses(right_guess(), near)["lamps"] > 1
+    unknown = jnp.zeros((1, 1), bool)
+    wrong = right_guess()._replace(distant=-right_guess().distant)
+    assert light_losses(wrong, lamp())["lamps"] > 0.9
+    assert light_losses(wrong, lamp(lamp_known=unknown))["lamps"] == 0
+
+
+def test_every_new_parameter_has_a_gradient():
+    config = dataclasses.replace(SMALL_OURS, fine_dim=5, light_tokens=True)
+    rng = np.random.default_rng(1)
+    shared = jnp.ones((2, 3), bool)
+    light = IncidentLight(
+        jnp.asarray(rng.random((2, 3, 9, 3)), jnp.float32),
+        jnp.asarray(rng.normal(size=(2, 3, 3)), jnp.float32),
+        jnp.asarray(rng.random((2, 3)), jnp.float32),
+        jnp.asarray([[0.0, 0.5, 0.0], [0.3, 0.0, 0.2]], jnp.float32),
+        shared,
+        shared,
+    )
+    known = objects()._replace(lights=light.lamp_direction, incident=light)
+
+    def loss(params):
+        network = UniversalNetwork(config, params)
+        keys = jax.random.split(jax.random.key(1), 2)
+        options = dataclasses.replace(
+            BLOCKS, squared_loss=False, steepness_weight=1.0, differences_weight=0.1
+        )
+        return training_loss(network, known, keys, options)
+
+    gradient, metrics = jax.jit(jax.grad(loss, has_aux=True))(lively_weights(config))
+    assert {"coarse", "lights", "harmonics", "lamps"} <= metrics.keys()
+    flat, _ = jax.tree.flatten_with_path(gradient["encoder"])
+    for path, value in flat:
+        assert np.isfinite(value).all()
+        name = jax.tree_util.keystr(path)
+        if "key" not in name or "bias" not in name:  # softmax does not see it
+            assert np.abs(value).max() > 0, name
+
+
+def test_settings_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="expected no grid_loss"):
+        Config(model=dataclasses.replace(SMALL_OURS, fine_dim=5))
+    with pytest.raises(ValueError, match="expected blocks of pixels"):
+        Config(train=TrainConfig(steepness_weight=1.0))
+    with pytest.raises(ValueError, match="pixel_blocks: expected no grid_loss"):
+        DataConfig(pixel_blocks=True)

@@ -1,0 +1,100 @@
+"""What kind of light each image has: a token for each kind, and what it guesses.
+
+LINO-UniPS (ICLR 2026) gains most of what its supervised lights gain by telling kinds of
+light apart; it also has register tokens, which stand for nothing. Here each image has
+tokens for its surroundings, a lamp near by and one far away, and four registers. They
+read the image's cells, then those of all images read from each other.
+"""
+
+from typing import Any, NamedTuple
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import DTypeLike
+
+from unips_jax.models.set_attention import PMA, SAB, dense, layer_norm
+
+_KINDS, _REGISTERS = 3, 4  # surroundings, near lamp, distant lamp
+
+
+class LightGuess(NamedTuple):
+    """What the tokens guess of the light of B sets of N images.
+
+    Attributes:
+        harmonics: `[B, N, 9, 3]`, coefficients of all its radiance, divided by the mean
+            colour of the first (see `scenes.IncidentLight`).
+        near: `[B, N, 3]`, towards a near lamp, any length.
+        nearness: `[B, N]`, 1 / its distance in radii of the object.
+        near_share: `[B, N]`, the logit of its share of all light.
+        distant: `[B, N, 3]`, towards a distant lamp, any length.
+        distant_share: `[B, N]`, as `near_share`.
+    """
+
+    harmonics: Array
+    near: Array
+    nearness: Array
+    near_share: Array
+    distant: Array
+    distant_share: Array
+
+
+class LightTokens(nn.Module):
+    """Changes what is known of each image's light by its kind. Begins without a change.
+
+    Attributes:
+        features: width, a multiple of 32.
+        dtype: compute type.
+    """
+
+    features: int
+    dtype: DTypeLike = jnp.float32
+
+    @nn.compact
+    def __call__(
+        self, cells: Array, light: Array, valid: Array | None
+    ) -> tuple[Array, LightGuess]:
+        """Applies it.
+
+        Args:
+            cells: `[B, N, T, F]`, how each image goes with the shape.
+            light: `[B, N, F]`, what is known of its light.
+            valid: `[N]`, bool: which images count; None: all.
+
+        Returns:
+            The light, changed, and the guesses.
+        """
+        batch, images = light.shape[:2]
+        count = _KINDS + _REGISTERS
+        options: dict[str, Any] = dict(
+            features=self.features,
+            num_heads=self.features // 32,
+            mlp_dim=2 * self.features,
+            attention="pre_norm",
+            dtype=self.dtype,
+        )
+        tokens = PMA(num_seeds=count, name="read", **options)(cells, None, True)
+        tokens = tokens + dense(self.features, self.dtype, "light")(light)[:, :, None]
+        tokens = tokens.reshape(batch, images * count, self.features)
+        members = None if valid is None else jnp.repeat(valid, count)
+        tokens = SAB(name="share", **options)(tokens, members, True)
+        tokens = layer_norm(self.dtype, "norm")(tokens)
+        tokens = tokens.reshape(batch, images, count, self.features)
+
+        around, near, distant = (tokens[:, :, i] for i in range(_KINDS))
+        harmonics = dense(27, self.dtype, "around")(around)
+        near = dense(5, self.dtype, "near")(near)
+        distant = dense(4, self.dtype, "distant")(distant)
+        guess = LightGuess(
+            harmonics.reshape(batch, images, 9, 3),
+            near[..., :3],
+            nn.softplus(near[..., 4] - 2),
+            near[..., 3],
+            distant[..., :3],
+            distant[..., 3],
+        )
+        zeros = nn.initializers.zeros
+        change = nn.Dense(
+            self.features, dtype=self.dtype, kernel_init=zeros, name="change"
+        )
+        return light + change(tokens.reshape(batch, images, -1)), guess
