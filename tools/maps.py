@@ -1,4 +1,4 @@
-"""Measures what is estimated beside normals: lights, colour, depth, confidence.
+"""Measures what is estimated besides normals: lights, colour, depth, confidence.
 
     python tools/maps.py --scenes 10 --diligent FOLDER --ps-wild FOLDER
     python tools/maps.py --scenes 5 --diligent FOLDER --ps-wild FOLDER --confidence
@@ -10,14 +10,14 @@ object with the means of every source and kind, over objects that have such a tr
 
 lights: the angle between directions and the truth, by the network's guesses, by least
 squares, and of the constant (0, 0, 1); in a set's mixed light the lamp's direction;
-colors: PSNR up to one factor, peak the 99th percentile of the truth, beside the
+colors: PSNR up to one factor, peak the 99th percentile of the truth, with the
 photographs' mean and one colour, metals left out; and of texture maps against the
 photographs;
 depth: the mean distance from the truth, in percent of the object's longer side, after
 the best shift (of a perspective camera, the best factor), of the estimated normals and
-the true ones, beside a plane and a half ball over the object;
+the true ones, with a plane and a half ball over the object;
 confidence (alone, with `--confidence`): the mean error that is left when the pixels of
-the largest spreads are taken out, beside the least possible, and the error by spread.
+the largest spreads are taken out, with the least possible, and the error by spread.
 """
 
 import dataclasses
@@ -342,8 +342,8 @@ def _confidence(objects: Sequence[Errors]) -> dict[str, Any]:
         there = bins == index
         share = float(weight[there].sum() / weight.sum())
         mean = np.average(error[there], weights=weight[there]) if there.any() else None
-        said = f"{_EDGES[index]}-{_EDGES[index + 1]}"
-        table.append([said, mean and round(float(mean), 2), round(share, 3)])
+        bounds = f"{_EDGES[index]}-{_EDGES[index + 1]}"
+        table.append([bounds, mean and round(float(mean), 2), round(share, 3)])
 
     def left(order: np.ndarray, kept: float) -> float:
         cumulated = np.cumsum(weight[order]) / weight.sum()

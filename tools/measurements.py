@@ -122,7 +122,7 @@ MEASUREMENTS = {
     "colors": Measurement(
         "Base colour and texture maps",
         "PSNR in decibels, higher is better: base colour of what is no metal, up to "
-        "one factor, against the 99th percentile of the truth, beside the mean of the "
+        "one factor, against the 99th percentile of the truth; with the mean of the "
         "photographs and one colour; texture maps (PTM) against the photographs they "
         "were fitted to.",
         _OTHER_MAPS,
@@ -138,7 +138,7 @@ MEASUREMENTS = {
         "Depth",
         "Mean distance from the true depth, in percent of the object's longer side, "
         "after the best shift (under a perspective camera, the best factor), of every "
-        "island apart; beside that of the true normals, a plane and half a ball.",
+        "island apart; with that of the true normals, a plane and half a ball.",
         _OTHER_MAPS,
         functools.partial(
             readings.maps,

@@ -157,7 +157,7 @@ def ps_wild(setting: Setting, line: str, *, name: str) -> Table:
 
 
 def table8(setting: Setting, line: str) -> Table:
-    """Methods by lighting, on how many sets, and the paper's means beside them."""
+    """Methods by lighting, on how many sets, and the paper's means."""
     setting.run(line)
     summary = setting.tables("out/table8/evaluation")["summary"]
     found = _by_lighting(summary)
@@ -184,7 +184,7 @@ def diligent(setting: Setting, line: str) -> Table:
 
 
 def real(setting: Setting, line: str) -> Table:
-    """The means of the yardstick's sets, the network's beside the constant normal's."""
+    """The means of the yardstick's sets, the network's and the constant normal's."""
     found = json.loads(setting.run(line))
     rows = []
     for name, objects in found.items():

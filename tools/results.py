@@ -7,8 +7,8 @@
 Figures are kept in `docs/results/HASH.json`, by the hash of the weights that they were
 measured with, each with its command and date; `docs/results/speed.jsonl` holds what
 `tools/benchmark.py` printed, with its arguments and the date. Measuring replaces the
-figures of what is named; what needs data that are not there is left out, and that is
-said. Evaluations are kept in `--workdir` and not done twice.
+figures of what is named; what needs data that are not there is left out, with a line.
+Evaluations are kept in `--workdir` and not done twice.
 """
 
 import argparse
@@ -43,7 +43,7 @@ README_ROWS = (
         ("directional", "environment", "mixed"),
     ),
     (
-        "Ten meshes by others, likewise, in photographed environments",
+        "Ten meshes by others, also with Cycles, in photographed environments",
         10,
         "ps-wild-real",
         ("directional", "environment", "mixed"),
@@ -67,7 +67,7 @@ HEAD = """# Results
 
 Written by `python tools/results.py` from the files in `docs/results`, not by hand.
 Mean angular errors in degrees over an object's pixels, then over objects: lower is
-better. A constant normal towards the viewer stands beside them; a result near it means
+better. A constant normal towards the viewer is the floor; a result near it means
 that something is broken.
 """
 SPEED = """
@@ -224,7 +224,7 @@ def _steps(record: Mapping[str, Any]) -> int:
 
 @command
 def main(argv: Sequence[str] | None = None) -> None:
-    """Measures if told to, and writes page and README."""
+    """Measures if asked to, and writes page and README."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

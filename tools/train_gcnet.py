@@ -8,7 +8,7 @@ to two: first the first lighting network, and the normal network under true ligh
 everything end to end. The scenes are single directional lights of the training
 distribution, 64 x 64 and not 128 x 128, so the method is to be used with `side=64`.
 Prints errors of held-out lights at the end. Stopped and started again, it goes on from
-the last multiple of 50 steps, kept beside the output as `*.part`.
+the last multiple of 50 steps, kept next to the output as `*.part`.
 """
 
 import argparse

@@ -22,7 +22,7 @@ def shift(image: Array, rows: int, columns: int) -> Array:
     Args:
         image: `[..., H, W]`.
         rows: -1, 0 or 1: the neighbour above, in the same row, or below.
-        columns: -1, 0 or 1: likewise to the left or to the right.
+        columns: -1, 0 or 1: the one to the left, in the same column, or to the right.
 
     Returns:
         `[..., H, W]`, with `out[y, x] = image[y + rows, x + columns]`.

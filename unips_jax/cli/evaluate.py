@@ -2,7 +2,7 @@
 
 Everything is checked before any work starts: the benchmark's layout and files, the
 methods, their weights. Results are kept in the work folder object by object; the same
-command started again, or beside itself, does only what is left.
+command started again, or twice at once, does only what is left.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Scores as printed by others, in degrees of mean angular error, to set beside ours.
+"""Scores as printed by others, in degrees of mean angular error, to compare ours with.
 
 PS-Wild-Test: UniPS (Ikehata, CVPR 2022), Tables 2-8. DiLiGenT: least squares as in the
 benchmark's table (Shi et al., CVPR 2016), UniPS as in its paper, PF14, UPS-FCN,
@@ -38,10 +38,7 @@ def _lightings(
     return Published(method, dict(zip(names, scores, strict=True)), group, images)
 
 
-_DILIGENT = (
-    *("ball", "bear", "buddha", "cat", "cow"),
-    *("goblet", "harvest", "pot1", "pot2", "reading"),
-)
+_DILIGENT = "ball bear buddha cat cow goblet harvest pot1 pot2 reading".split()
 
 
 def _objects(method: str, printed_mean: float, text: str) -> Published:
@@ -149,7 +146,7 @@ def mean(row: Published, evaluated: Sequence[str] = ()) -> float:
 
 
 def comparable(rows: Sequence[Published], evaluated: Sequence[str]) -> list[Published]:
-    """The rows whose mean can be set beside one over these objects and lightings.
+    """The rows whose mean compares with one over these objects and lightings.
 
     Where a benchmark's scores are published by object or lighting and only some were
     evaluated, rows that print nothing but a mean are left out.

@@ -109,11 +109,7 @@ BASELINES: dict[str, Baseline] = {
     ),
 }
 
-CLASSICAL = (
-    *("woodham", "l1", "sbl", "rpca", "diffuse-maxima", "entropy", "sh1"),
-    "hemisphere",
-    "constant",
-)
+CLASSICAL = "woodham l1 sbl rpca diffuse-maxima entropy sh1 hemisphere constant".split()
 """What `classical` stands for on the command line."""
 
 NAMES = ("unips", *BASELINES)

@@ -1,7 +1,7 @@
 """One sheet per object, as in the paper's supplement (Figures 3-52).
 
-First some of the photographs, then the true normals beside each method's, and under
-them the error maps with their mean, clipped at 80 degrees.
+First some of the photographs, then the true normals and each method's, and under them
+the error maps with their mean, clipped at 80 degrees.
 """
 
 import io

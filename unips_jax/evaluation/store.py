@@ -122,6 +122,6 @@ class Store:
             return read_normals(path)
         except InputError as error:
             raise InputError(
-                f"{error} (a stored result: delete the .json beside it to have both "
+                f"{error} (a stored result: delete the .json next to it to have both "
                 "computed again)"
             ) from None

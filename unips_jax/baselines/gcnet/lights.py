@@ -59,7 +59,7 @@ def decode(azimuth: Array, elevation: Array, intensity: Array) -> tuple[Array, A
 
     Args:
         azimuth: `[...]`, in [0, 35]: atan(x / z) in steps of 5 degrees from -90.
-        elevation: `[...]`, in [0, 35]: atan(y / hypot(x, z)) likewise.
+        elevation: `[...]`, in [0, 35]: atan(y / hypot(x, z)) in the same steps.
         intensity: `[...]`, in [0, 19]: steps of 0.09 from 0.2.
 
     Returns:

@@ -56,7 +56,7 @@ def gcnet(
         norm: where the images' maximum is put: at 0.1 ("range01"), at 10
             ("literal10"), or left ("none").
         per: whether that maximum is each image's or the whole stack's.
-        margin: crop to the mask's box with so many pixels around it, as in the
+        margin: pixels around the mask's box, to which images are cropped, as in the
             authors' evaluations; None to use the images as they come.
         side: of the images that the lighting networks see; they were trained for it.
 

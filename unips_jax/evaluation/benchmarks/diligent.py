@@ -23,10 +23,7 @@ from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
 from unips_jax.io.masks import read_mask
 
-_OBJECTS = (
-    *("ball", "bear", "buddha", "cat", "cow"),
-    *("goblet", "harvest", "pot1", "pot2", "reading"),
-)
+_OBJECTS = "ball bear buddha cat cow goblet harvest pot1 pot2 reading".split()
 _MASK_PIXELS = {
     **{"ball": 15791, "bear": 41512, "buddha": 44864, "cat": 45200, "cow": 26421},
     **{"goblet": 26193, "harvest": 57342, "pot1": 57721, "pot2": 35278},
@@ -35,14 +32,8 @@ _MASK_PIXELS = {
 _CORRUPT = {"bear": 20}
 _MV_OBJECTS = ("bear", "buddha", "cow", "pot2", "reading")
 _MV_VIEWS = 20
-_SHAPES = (
-    *("BALL", "GOLF", "SPIKE", "NUT", "SQUARE"),
-    *("PENTAGON", "HEXAGON", "PROPELLER", "TURBINE", "BUNNY"),
-)
-_MATERIALS = (
-    *("POM", "PP", "NYLON", "PVC", "ABS"),
-    *("BAKELITE", "AL", "CU", "STEEL", "ACRYLIC"),
-)
+_SHAPES = "BALL GOLF SPIKE NUT SQUARE PENTAGON HEXAGON PROPELLER TURBINE BUNNY".split()
+_MATERIALS = "POM PP NYLON PVC ABS BAKELITE AL CU STEEL ACRYLIC".split()
 _102_SIZE = (1001, 1001)
 _TABLES = ("filenames.txt", "light_directions.txt", "light_intensities.txt")
 
@@ -96,7 +87,7 @@ class DiligentMV(Benchmark):
     """DiLiGenT-MV: `ROOT/{bear,...}PNG/view_01/..view_20/`, or `ROOT/mvpmsData/...`.
 
     Five objects, 20 views of 96 images; each view is laid out as an object of DiLiGenT.
-    `Calib_Results.mat` beside the views holds the camera: `KK` `[3, 3]`, and per view
+    `Calib_Results.mat` next to the views holds the camera: `KK` `[3, 3]`, and per view
     `Rc_i`, `Tc_i`. The focal length given is `KK[0, 0]`; the principal point is taken
     at the image's centre, from which the real one is a few pixels away.
     """

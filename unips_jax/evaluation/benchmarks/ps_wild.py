@@ -111,10 +111,10 @@ class PSWildTest(Benchmark):
             if lost:
                 notes.append(f"{lost} masked pixels have no true normal: left out")
             mask &= given
-        meta, told = read_meta(path.parent), path.parent / META
-        lights = meta_lights(meta, told)
+        meta, where = read_meta(path.parent), path.parent / META
+        lights = meta_lights(meta, where)
         known = distant_lights(*lights, path.parent) if lights else None
-        return Truth(mask, normals, known, meta_focal(meta, told), tuple(notes))
+        return Truth(mask, normals, known, meta_focal(meta, where), tuple(notes))
 
 
 class PSWildTrain(PSWildTest):
@@ -148,8 +148,8 @@ def manifest() -> tuple[Mapping[str, str], ...]:
 def _materials(folder: Path, position: int, count: int) -> dict[str, str]:
     meta = read_meta(folder)
     if meta:
-        told = {k: meta.get(k) for k in ("category", "material", "shape")}
-        return {k: v for k, v in told.items() if isinstance(v, str) and v}
+        tags = {k: meta.get(k) for k in ("category", "material", "shape")}
+        return {k: v for k, v in tags.items() if isinstance(v, str) and v}
     stem = folder.name.lower().replace("_", "-")
     named = [r for r in manifest() if r["object"] in stem and r["material"] in stem]
     # "explosion-blue" is also part of "explosion-blue-1": the longest name is meant.

@@ -1,7 +1,7 @@
 """The psmImages of the University of Washington's computer vision course.
 
 `ROOT/{buddha,cat,gray,horse,owl,rock}/NAME.0.png` .. (8 bit, twelve lights), with
-`NAME.mask.png` beside them, `chrome/` (a mirror sphere that shows the lights; it is not
+`NAME.mask.png` with them, `chrome/` (a mirror sphere that shows the lights; it is not
 evaluated) and `lights.txt`: a line with the number of lights, then `x y z` per light.
 ROOT may also be the folder above `psmImages`. Where `NAME.txt` is there (a count, then
 image names, then the mask's), its order of images is followed; where not, the number in
