@@ -5,6 +5,7 @@ import tomllib
 from pathlib import Path
 
 import unips_jax
+from unips_jax import errors
 
 ROOT = Path(__file__).resolve().parents[1]
 ASSETS = ROOT / "unips_jax" / "assets"
@@ -39,3 +40,12 @@ def test_every_weights_file_has_a_model_card():
     cards = (ROOT / "docs" / "models.md").read_text()
     for file in ASSETS.glob("*.safetensors"):
         assert f"\n## {file.name}\n" in cards
+
+
+def test_install_hints_name_the_packages_of_the_extras():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    for extra, packages in project["optional-dependencies"].items():
+        if extra in errors._EXTRAS:
+            hint = errors.install_hint(extra).removeprefix("pip install ").split()
+            names = {re.match(r"[\w-]+", package)[0] for package in packages}
+            assert set(hint) == names, extra

@@ -157,3 +157,14 @@ def test_an_interrupt_of_a_command_is_one_word(monkeypatch, capsys):
     assert unips(["demo"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_unips_into_a_closed_pipe_is_silent(option):
+    """As in `unips --help | head -0`: what nobody reads is no error to talk of."""
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "unips_jax", option]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")

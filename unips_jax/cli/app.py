@@ -1,8 +1,7 @@
 """The application: photographs in, normals, surface and viewer out, in a browser.
 
 It runs on this machine and is reached from it alone. Results are folders that stay;
-photographs stay with them, until removed on the page. Needs `pip install
-'unips-jax[app]'`.
+photographs stay with them, until removed on the page. Needs the extra `app`.
 """
 
 import dataclasses
@@ -11,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from unips_jax.console import command, parse
-from unips_jax.errors import InputError
+from unips_jax.errors import InputError, install_hint
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         from unips_jax.app.server import serve
     except ModuleNotFoundError as error:
         raise InputError(
-            f"unips app needs {error.name}: pip install 'unips-jax[app]'"
+            f"unips app needs {error.name}: {install_hint('app')}"
         ) from None
     serve(
         options.host,

@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from unips_jax.console import reason_of, track
-from unips_jax.errors import InputError
+from unips_jax.errors import InputError, install_hint
 
 _T = TypeVar("_T")
 # How often a task may die before it is given up.
@@ -99,7 +99,7 @@ def _ray(address: str | None) -> Any:
         ray = importlib.import_module("ray")
     except ImportError:
         raise InputError(
-            f"--ray {address}: expected Ray, found none; pip install 'unips-jax[ray]'"
+            f"--ray {address}: expected Ray, found none; {install_hint('ray')}"
         ) from None
     try:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")

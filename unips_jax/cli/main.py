@@ -41,14 +41,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         with _interrupts_end_at_once():
             module = importlib.import_module(f"unips_jax.{COMMANDS[name][0]}")
         return module.main(arguments[1:])
-    if name in ("-h", "--help"):
-        print(_usage())
-        return 0
-    if name == "--version":
+    if name in ("-h", "--help", "--version"):
+        from unips_jax.console import command
         from unips_jax.version import __version__
 
-        print(__version__)
-        return 0
+        text = __version__ if name == "--version" else _usage()
+        return command(lambda _: print(text))(arguments)
     import difflib
 
     near = difflib.get_close_matches(name, COMMANDS, n=1)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import export
 
-from unips_jax.errors import InputError
+from unips_jax.errors import InputError, install_hint
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.export.functions import decode_pixels, encode_set
 from unips_jax.io.results import appearing_at_once, file_hash
@@ -200,5 +200,5 @@ def _versions() -> dict[str, str]:
 
 def _missing(package: str, error: Exception) -> InputError:
     return InputError(
-        f"{package}: cannot be imported ({error}); pip install 'unips-jax[export]'"
+        f"{package}: cannot be imported ({error}); {install_hint('export')}"
     )

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unips_jax.errors import InputError
+from unips_jax.errors import InputError, install_hint
 from unips_jax.io.color import as_linear
 
 SUFFIXES = (".ply", ".obj", ".glb")
@@ -195,7 +195,7 @@ def _trimesh() -> Any:
     except ImportError:
         raise InputError(
             "a mesh: expected the package trimesh, which is not installed; "
-            "`pip install 'unips-jax[mesh]'`"
+            f"{install_hint('mesh')}"
         ) from None
     return trimesh
 
@@ -206,7 +206,7 @@ def _simplified(trimesh: Any, shape: Any, max_faces: int) -> Any:
     except ImportError:
         raise InputError(
             "--max-faces: expected the package fast-simplification, which is not "
-            "installed; `pip install 'unips-jax[mesh]'`"
+            f"installed; {install_hint('mesh')}"
         ) from None
     vertices, faces = fast_simplification.simplify(
         np.asarray(shape.vertices, np.float32),

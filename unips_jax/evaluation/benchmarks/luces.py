@@ -23,7 +23,9 @@ from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
 from unips_jax.io.masks import read_mask
 from unips_jax.io.normals import read_normals
 
-_OBJECTS = "Ball Bell Bowl Buddha Bunny Cup Die Hippo House Jar Owl Queen Squirrel Tool".split()
+_OBJECTS = (
+    "Ball Bell Bowl Buddha Bunny Cup Die Hippo House Jar Owl Queen Squirrel Tool"
+).split()
 _IMAGES = 52
 
 

@@ -13,6 +13,7 @@ import imagecodecs
 import numpy as np
 from PIL import Image, features
 
+from unips_jax.errors import install_hint
 from unips_jax.io.formats.boxes import av1_bits, known_code, transfer_code
 from unips_jax.io.formats.encoded import Encoded, NotRead, exif_facts
 from unips_jax.io.formats.exr import quiet
@@ -33,7 +34,7 @@ def open_raw(data: bytes, name: str) -> Encoded:
         import rawpy
     except ImportError:
         raise NotRead(
-            name, "install unips-jax[raw], or develop it to 16-bit TIFF"
+            name, f"{install_hint('raw')}, or develop it to 16-bit TIFF"
         ) from None
     try:
         with quiet(), rawpy.imread(io.BytesIO(data)) as raw:
@@ -78,7 +79,7 @@ def open_heic(data: bytes) -> Encoded:
         import pillow_heif
     except ImportError:
         raise NotRead(
-            "a HEIC picture", "install unips-jax[heif], or export it as PNG or TIFF"
+            "a HEIC picture", f"{install_hint('heif')}, or export it as PNG or TIFF"
         ) from None
     code = known_code(transfer_code(data[:_BOXES]), "a HEIC picture")
     image: Any = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
