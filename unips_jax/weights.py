@@ -34,6 +34,8 @@ from unips_jax.models.network import (
 
 _ASSETS = Path(str(importlib.resources.files("unips_jax"))) / "assets"
 SHIPPED = ("tiny",)
+# What float16 holds; those of trained networks are below 100.
+_LARGEST = float(np.finfo(np.float16).max)
 
 
 def load_weights(source: str | os.PathLike[str]) -> UniversalNetwork:
@@ -69,10 +71,11 @@ def load_weights(source: str | os.PathLike[str]) -> UniversalNetwork:
             f"{metadata.get('hash')!r:.40}; fetch the file again"
         )
     for name, array in arrays.items():
-        if not np.isfinite(array).all():
+        largest = np.abs(array).max(initial=0)  # NaN if there is one
+        if not largest <= _LARGEST:
             raise InputError(
-                f"{path}: {name}: expected finite parameters, got NaN or infinity; "
-                "take weights of an earlier step"
+                f"{path}: {name}: expected parameters of at most {_LARGEST:.0f}, got "
+                f"{largest:.3g}; take weights of an earlier step"
             )
     # Not `jnp.asarray`: it compiles a program for every shape.
     return UniversalNetwork(config, unflatten_dict(jax.device_put(arrays), sep="."))
