@@ -370,13 +370,12 @@ def test_one_bad_file_among_eight_is_set_aside(opening):
     shown = client.ready(key)
     aside = of_state(shown, "aside")
     assert aside == {
-        "cut.png": "unreadable",
+        "cut.png": "damaged",
         "large.png": "size",
-        "black.png": "unusable",
+        "black.png": "black",
     }
     details = {p["name"]: p["detail"] for p in shown["photographs"]}
-    assert "damaged" in details["cut.png"] and "/" not in details["cut.png"]
-    assert details["large.png"] == "80 x 48" and "light" in details["black.png"]
+    assert details["large.png"] == "80 x 48"
     assert shown["found"]["names"] == [*map("{}.png".format, range(5)), "normal_7.png"]
     assert shown["found"]["mask"] == "suggested" and shown["problem"] == ""
     client.post(f"/objects/{key}/estimate", name="thing", options={})
@@ -511,7 +510,7 @@ def test_estimates_wait_run_one_by_one_and_are_run_again(opening):
     first = client.state(keys[0], "running")
     assert first["phase"] == "normals" and first["share"] == 0.5
     assert client.get(f"/objects/{keys[2]}")["ahead"] == 2
-    assert Pretended.calls[0][3] == work.Choices(mesh=False, transfer="srgb")
+    assert Pretended.calls[0][4] == work.Choices(mesh=False, transfer="srgb")
     client.post(f"/objects/{keys[2]}/cancel")
     Pretended.hold.set()
     broken = client.state(keys[1], "failed")
@@ -660,6 +659,15 @@ def test_a_drawn_mask_has_the_photographs_size(tmp_path):
         work._full_mask(tmp_path / "drawn.png", tmp_path / "a.png", 10**6)
 
 
+def test_coarse_normals_are_a_picture(tmp_path):
+    normals = np.zeros((3, 5, 3), np.float32)
+    normals[1, 2] = 0, 0.6, 0.8
+    work._write_preview(tmp_path / "preview.png", normals)
+    picture = cv2.imread(str(tmp_path / "preview.png"), cv2.IMREAD_UNCHANGED)
+    assert picture.shape == (3, 5, 4) and picture[..., 3].sum() == 255
+    assert picture[1, 2].tolist() == [round(127.5 * 1.8), 204, 128, 255]
+
+
 def test_a_film_becomes_photographs(tmp_path):
     import tifffile
 
@@ -706,6 +714,7 @@ def test_both_languages_say_all_of_it():
         codes |= set(re.findall(r'Refused\(\s*\d+, "(\w+)"', text))
         codes |= set(re.findall(r'"(disk_full|not_stored)"', text))
     assert {f"problem_{code}" for code in codes} <= english.keys()
+    assert {f"why_{why}" for _, why in desk_module._PLAIN} <= english.keys()
 
 
 def test_a_bad_port_is_one_line(capsys):

@@ -208,7 +208,7 @@ def test_from_photographs_to_a_lit_surface(server, photographs, tmp_path):
         assert f"4 photographs of {SIDE} x {SIDE} pixels" in text(driver)
         aside = text(driver, "aside")
         assert "notes.txt: not an image" in aside
-        assert "broken.png: can't be read" in aside and "/tmp" not in text(driver)
+        assert "broken.png: damaged" in aside and "/tmp" not in text(driver)
         assert "The object was found by itself" in text(driver)
         thumbnails = driver.find_elements(By.CSS_SELECTOR, "#thumbnails li span")
         assert [t.text for t in thumbnails] == [p.name for p in photographs]

@@ -27,7 +27,7 @@ def test_what_the_demo_says_of_its_normals_is_true(tmp_path, monkeypatch, capsys
     inside = abs(np.linalg.norm(truth, axis=-1) - 1) < 1e-3
     seen = {}
 
-    def stand_in(network, images, mask, *, transfer, frame, fast, progress):
+    def stand_in(network, images, mask, *, transfer, frame, **others):
         seen.update(images=images, mask=mask, transfer=transfer, frame=frame)
         mirrored = truth * [-1, 1, 1] + [0, 0, 0.2]
         mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)

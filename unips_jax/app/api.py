@@ -144,6 +144,7 @@ class Api:
             progress = self._desk.progress
             shown |= {"phase": progress.phase, "share": progress.share}
             shown["left"] = progress.seconds_left
+            shown["preview"] = (item.pictures / "preview.png").exists()
         if item.state == "done":
             shown["results"] = _results(item)
             if self.owner(request):

@@ -115,8 +115,8 @@ class Desk:
                 seconds=slow * self.limits.looking_s,
             )
         except InputError as error:
-            photo.state, photo.why = "aside", "unreadable"
-            photo.detail = without_folder(str(error), path)
+            photo.state = "aside"
+            photo.why, photo.detail = _reason(without_folder(str(error), path))
         else:
             if "frames" in facts:
                 item.photographs.remove(photo)
@@ -151,12 +151,14 @@ class Desk:
             return
         if item.version != version:
             return  # others came meanwhile
-        for reasons, why in ((found["refused"], "unusable"), (found["same"], "same")):
-            for name, text in reasons.items():
-                photo = item.named(name)
-                if photo is not None:
-                    photo.state, photo.why = "aside", why
-                    photo.detail = "" if why == "same" else text
+        for photo in item.photographs:
+            if photo.file in found["refused"]:
+                photo.state = "aside"
+                photo.why, photo.detail = _reason(
+                    found["refused"][photo.file], "unusable"
+                )
+            elif photo.file in found["same"]:
+                photo.state, photo.why = "aside", "same"
         item.found, item.found_version = found, version
         item.save()
         self.warm(len(found["names"]))
@@ -216,12 +218,15 @@ class Desk:
         item.state = "running"
         self.progress = Progress()
         began = time.monotonic()
+        preview = item.pictures / "preview.png"
         try:
+            preview.unlink(missing_ok=True)
             item.save()
             mask: Path | str = {"auto": "auto", "whole": "none"}.get(item.mask, "")
             item.findings = await self._estimating.call(
                 *(work.estimate, chosen(item), Path(item.target), mask or item.drawn),
-                *(work.Choices(**item.options), self.weights, self.limits.pixels),
+                *(preview, work.Choices(**item.options), self.weights),
+                self.limits.pixels,
                 report=self.progress.report,
             )
             item.state = "done"
@@ -254,6 +259,21 @@ def _unread(item: Object) -> bool:
 
 def _reading(item: Object) -> dict[str, Any]:
     return {"transfer": item.options.get("transfer", "auto")}
+
+
+_PLAIN = (  # what errors begin with or name, and the page's words for it
+    ("expected a readable image", "damaged"),
+    ("out of memory", "too_many_pixels"),
+    ("expected at most", "too_many_pixels"),
+    ("expected light on the object", "black"),
+    ("expected to be done within", "too_slow"),
+)
+
+
+def _reason(text: str, other: str = "unreadable") -> tuple[str, str]:
+    """The page's word for why a file is set aside, and the detail where it has none."""
+    plain = next((why for part, why in _PLAIN if part in text), None)
+    return (plain, "") if plain else (other, text)
 
 
 def without_folder(text: str, path: Path) -> str:

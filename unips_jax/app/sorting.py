@@ -7,7 +7,14 @@ from pathlib import Path
 from unips_jax.app.objects import Object, Photograph
 from unips_jax.app.work import Chosen
 
-_TOGETHER = ("size", "type", "encoding", "same", "unusable")  # decided by the others
+_TOGETHER = (
+    "size",
+    "type",
+    "encoding",
+    "same",
+    "unusable",
+    "black",
+)  # decided by the others
 
 
 def use(item: Object, photo: Photograph, wanted: bool) -> None:

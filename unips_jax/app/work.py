@@ -12,6 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from unips_jax.app.worker import Report
 from unips_jax.errors import InputError
@@ -35,6 +36,7 @@ class Choices:
     perspective: bool = False
     register: bool = False
     mesh: bool = True
+    fast: bool = False
     lights: bool = False
     base_color: bool = False
     rti: bool = False
@@ -241,6 +243,7 @@ def estimate(
     chosen: Chosen,
     target: Path,
     mask: Path | str,
+    preview: Path,
     choices: Choices,
     weights: str,
     max_pixels: int,
@@ -253,6 +256,7 @@ def estimate(
         chosen: the files.
         target: folder for the results.
         mask: "auto", "none", or the drawn one, white on the object, of any size.
+        preview: receives a picture of coarse normals while the rest is done.
         choices: the visitor's.
         weights: shipped, or a file.
         max_pixels: of a photograph.
@@ -277,6 +281,7 @@ def estimate(
         max_pixels,
         transfer=choices.transfer,
         register=choices.register,
+        fast=choices.fast,
         depth=True,
         mesh="glb" if choices.mesh else None,
         view=True,
@@ -290,12 +295,28 @@ def estimate(
     report("reading", 0.0)
 
     def progress(done: int, total: int) -> None:
-        report("normals" if done < total else "surface", done / max(total, 1))
+        phase = "normals" if 0 < done < total else "surface" if done else "encoding"
+        report(phase, done / max(total, 1))
 
     record = estimate_folder(
-        chosen.folder, target, network, options, on_progress=progress
+        chosen.folder,
+        target,
+        network,
+        options,
+        on_progress=progress,
+        on_preview=lambda normals: _write_preview(preview, normals),
     )
     return list(record["findings"])
+
+
+def _write_preview(path: Path, normals: np.ndarray) -> None:
+    """Coarse normals as a picture, transparent outside the object."""
+    inside = 255 * normals.any(axis=-1, keepdims=True)
+    colors = np.rint(127.5 * (normals + 1))
+    picture = np.concatenate([colors, inside], axis=-1).astype(np.uint8)
+    part = path.with_name("preview-part.png")
+    Image.fromarray(picture).save(part)
+    part.rename(path)
 
 
 def _full_mask(drawn: Path, photograph: Path, max_pixels: int) -> np.ndarray:

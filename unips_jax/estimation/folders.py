@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # JAX is imported when there is something to estimate
     from unips_jax.models.network import UniversalNetwork
 
 Progress = Callable[[int, int], None]
+Preview = Callable[[np.ndarray], None]
 
 # What the results follow from, beside photographs, weights and options.
 _CODE = (
@@ -104,6 +105,7 @@ def estimate_folder(
     overwrite: bool = False,
     verbose: bool = False,
     on_progress: Progress | None = None,
+    on_preview: Preview | None = None,
 ) -> dict[str, Any]:
     """Estimates the normals of a folder of photographs, and writes them.
 
@@ -119,7 +121,9 @@ def estimate_folder(
             mask, weights, options and code gave.
         verbose: say on standard output what is done; warnings about the photographs
             and progress go to standard error.
-        on_progress: called with the numbers of pixels done and to do.
+        on_progress: called with the numbers of pixels done and to do, first when the
+            photographs are read.
+        on_preview: called early with normals of a coarse grid, `[h, w, 3]`.
 
     Returns:
         What `normals.json` holds; its "warnings" are about the photographs.
@@ -141,9 +145,12 @@ def estimate_folder(
                 overwrite,
                 verbose,
                 on_progress,
+                on_preview,
                 source=folder,
             )
-    return _estimate(folder, target, network, options, overwrite, verbose, on_progress)
+    return _estimate(
+        folder, target, network, options, overwrite, verbose, on_progress, on_preview
+    )
 
 
 def _estimate(
@@ -154,6 +161,7 @@ def _estimate(
     overwrite: bool,
     verbose: bool,
     on_progress: Progress | None,
+    on_preview: Preview | None,
     *,
     source: Path | None = None,
 ) -> dict[str, Any]:
@@ -172,7 +180,12 @@ def _estimate(
                 print(f"{title}: {target} is up to date; --overwrite makes it anew")
             return earlier
     estimate = estimate_selection(
-        selection, network, options, verbose=verbose, on_progress=on_progress
+        selection,
+        network,
+        options,
+        verbose=verbose,
+        on_progress=on_progress,
+        on_preview=on_preview,
     )
     return write_estimate(target, estimate, options, verbose=verbose)
 
@@ -184,6 +197,7 @@ def estimate_selection(
     *,
     verbose: bool = False,
     on_progress: Progress | None = None,
+    on_preview: Preview | None = None,
 ) -> Estimate:
     """Reads photographs, looks for what is wrong with them, and estimates normals.
 
@@ -193,6 +207,7 @@ def estimate_selection(
         options: how to read them.
         verbose: see `estimate_folder`.
         on_progress: likewise.
+        on_preview: likewise.
 
     Raises:
         InputError: if a file cannot be read or used, or a normal is not finite.
@@ -228,7 +243,9 @@ def estimate_selection(
         with progress("estimating normals") as report:
             found = estimate(progress=report)
     else:
-        found = estimate(progress=on_progress)
+        if on_progress is not None:
+            on_progress(0, int(np.count_nonzero(mask)))
+        found = estimate(progress=on_progress, preview=on_preview)
     bad = np.count_nonzero(~np.isfinite(found.normals).all(axis=-1))
     if bad:
         raise InputError(

@@ -1,6 +1,7 @@
 """`estimate_normals` for photographs: they stay on the host in their storage type."""
 
 import functools
+import math
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -25,6 +26,10 @@ from unips_jax.models.network import (
 from unips_jax.models.views import FrameKind, Views, photograph_views
 
 Progress = Callable[[int, int], None]
+Preview = Callable[[np.ndarray], None]
+"""Called with normals of a coarse grid, `[h, w, 3]`, zero outside the mask."""
+
+_PREVIEW_CHUNKS = 8
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 
@@ -100,8 +105,12 @@ def estimate_with_lights(
     fast: bool = False,
     uniform_contexts: bool = False,
     progress: Progress | None = None,
+    preview: Preview | None = None,
 ) -> NormalsAndLights:
-    """`estimate_photographs`, and the lights that are guessed on the way."""
+    """`estimate_photographs`, and the lights that are guessed on the way.
+
+    `preview` is called early with a coarse grid of the normals.
+    """
     count, padded = len(images), padded_size(len(images))
     valid = np.arange(padded) < count
     linear = functools.partial(as_linear, transfer=transfer)
@@ -120,6 +129,8 @@ def estimate_with_lights(
         return pixels
 
     decoder = functools.partial(_decode_pixels, network, values=values, valid=valid)
+    if preview is not None:
+        _show_coarse(preview, decoder, encoding, mask)
     if fast and len(contexts) > 1:
         return NormalsAndLights(_decode_fast(decoder, encoding, mask, progress), lights)
     return NormalsAndLights(decoder(encoding, mask, progress=progress), lights)
@@ -150,6 +161,22 @@ def _decode_pixels(
             done += y.size
             progress(done, total)
     return normals
+
+
+def _show_coarse(
+    preview: Preview,
+    decoder: Callable[..., np.ndarray],
+    encoding: Encoding,
+    mask: np.ndarray,
+) -> None:
+    """Decodes a few chunks of pixels on a grid, if that is little of the work."""
+    pixels = _PREVIEW_CHUNKS * chunks.pixels_at_a_time(encoding.contexts)
+    step = max(4, math.ceil((np.count_nonzero(mask) / pixels) ** 0.5))
+    grid = (slice(step // 2, None, step),) * 2
+    few = np.zeros_like(mask)
+    few[grid] = mask[grid]
+    if few.any():
+        preview(decoder(encoding, few)[grid])
 
 
 def _decode_fast(

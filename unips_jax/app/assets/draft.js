@@ -185,7 +185,10 @@ async function use(photo, wanted) {
   }
 }
 
-const showAdvice = () => advice(byId("advice"), (shown.ready && shown.found?.findings) || []);
+function showAdvice() {
+  const findings = (shown.ready && shown.found?.findings) || [];
+  advice(byId("advice"), findings.filter((finding) => finding.kind !== "no object")); // the mask's step says so
+}
 
 /** What was found wrong with the photographs. */
 export function advice(list, findings) {

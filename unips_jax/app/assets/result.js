@@ -33,7 +33,7 @@ export function showRunning(object) {
   const preview = byId("running-preview");
   preview.hidden = !object.preview;
   if (object.preview) {
-    const source = `/api/objects/${object.id}/pictures/preview.png?${object.asked}`;
+    const source = `/api/objects/${object.id}/pictures/preview.png?${object.time}`;
     if (!preview.src.endsWith(source)) preview.src = source;
   }
 }
