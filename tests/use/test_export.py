@@ -9,15 +9,17 @@ from pathlib import Path
 
 import jax
 import numpy as np
-import onnx
 import pytest
 from small_networks import SMALL, SMALL_OURS, lively_network
 
 from unips_jax import estimate_normals
 from unips_jax.cli.main import main
 from unips_jax.export.files import write_export
-from unips_jax.export.onnx_graph import Graph
 from unips_jax.weights import save_weights
+
+onnx = pytest.importorskip("onnx", reason="onnx is not installed")
+pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
+from unips_jax.export.onnx_graph import Graph  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 # A grid of contexts too large to be read by a product, the released arithmetic.

@@ -98,11 +98,11 @@ def write_mesh(
         The number of triangles written.
 
     Raises:
-        InputError: if trimesh is not installed, the suffix is another or the mesh has
-            no triangle.
+        InputError: if the suffix is another or the mesh has no triangle.
     """
+    import trimesh
+
     check_mesh_file(path)
-    trimesh = _trimesh()
     if not len(mesh.faces):
         raise InputError(
             f"{path}: expected a surface of more than single pixels, got no triangle; "
@@ -117,7 +117,7 @@ def write_mesh(
             painted = _linear(painted)
     shape = trimesh.Trimesh(vertices, faces, process=False)
     if max_faces is not None and len(faces) > max_faces:
-        shape = _simplified(trimesh, shape, max_faces)
+        shape = _simplified(shape, max_faces)
         if painted is not None:
             painted = painted[_nearest(vertices, shape.vertices)]
     if painted is not None:
@@ -135,14 +135,13 @@ def check_mesh_file(path: Path) -> None:
         path: of the mesh.
 
     Raises:
-        InputError: if the suffix is another, or trimesh is not installed.
+        InputError: if the suffix is another.
     """
     if path.suffix not in SUFFIXES:
         raise InputError(
             f"{path}: expected a mesh ending in {', '.join(SUFFIXES)}, got "
             f"{path.suffix or 'no suffix'}; rename it"
         )
-    _trimesh()
 
 
 def _triangles(depth: np.ndarray) -> np.ndarray:
@@ -189,18 +188,9 @@ def _points(
     return np.stack([across * factor, -down * factor, -away], -1).astype(np.float32)
 
 
-def _trimesh() -> Any:
-    try:
-        import trimesh
-    except ImportError:
-        raise InputError(
-            "a mesh: expected the package trimesh, which is not installed; "
-            f"{install_hint('mesh')}"
-        ) from None
-    return trimesh
+def _simplified(shape: Any, max_faces: int) -> Any:
+    import trimesh
 
-
-def _simplified(trimesh: Any, shape: Any, max_faces: int) -> Any:
     try:
         import fast_simplification
     except ImportError:
