@@ -16,6 +16,15 @@ os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """One compilation serves all test processes, and later runs."""
+    if config.cache is not None:
+        os.environ.setdefault(
+            "JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax"))
+        )
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begins with training runs: they last longest and wait for their own processes."""
     items.sort(key=lambda item: not item.path.name.startswith("test_train_"))
