@@ -5,10 +5,10 @@ and from an index alike.
 """
 
 _EXTRAS = {
-    "app": "starlette uvicorn trimesh fast-simplification pillow-heif rawpy",
-    "export": "flatbuffers onnx",
+    "app": "starlette uvicorn fast-simplification pillow-heif rawpy",
+    "export": "onnx",
     "heif": "pillow-heif",
-    "mesh": "trimesh fast-simplification",
+    "mesh": "fast-simplification",
     "raw": "rawpy",
     "ray": "ray",
 }
