@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from flax import nnx
 from jax import Array
 
-from unips_jax import UniversalNetwork, estimate_normals
+from unips_jax import NnxNetwork, UniversalNetwork, estimate_normals
 
 
 class NnxShading(nnx.Module):
@@ -21,16 +21,12 @@ class NnxShading(nnx.Module):
 
     def __init__(self, network: UniversalNetwork) -> None:
         """Takes a network, as `load_weights` gives it."""
-        self.config = network.config
-        self.params = nnx.data(jax.tree.map(nnx.Param, network.params))
+        self.normals = NnxNetwork(network)
         self.light = nnx.Param(jnp.array([0.0, 0.0, 1.0]))
 
     def __call__(self, images: Array, mask: Array) -> Array:
         """`[N, H, W, 3]` and `[H, W]` to `[H, W]`."""
-        params = nnx.to_pure_dict(nnx.state(self.params))
-        network = UniversalNetwork(self.config, params)
-        normals = estimate_normals(network, images, mask)
-        return jnp.maximum(normals @ self.light[...], 0)
+        return jnp.maximum(self.normals(images, mask) @ self.light[...], 0)
 
 
 class EquinoxShading(eqx.Module):

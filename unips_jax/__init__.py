@@ -23,6 +23,7 @@ from unips_jax.version import __version__
 
 if TYPE_CHECKING:
     from unips_jax.console import cache_compilations
+    from unips_jax.estimation.nnx_module import NnxNetwork
     from unips_jax.estimation.pure import estimate_normals
     from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.evaluation.figures import load_results
@@ -41,6 +42,7 @@ __all__ = [
     "DistantLights",
     "Materials",
     "ModelConfig",
+    "NnxNetwork",
     "UniversalNetwork",
     "__version__",
     "angular_error_deg",
@@ -61,6 +63,7 @@ _MODULES = {
     "DistantLights": "lighting.relight",
     "Materials": "lighting.relight",
     "ModelConfig": "models.config",
+    "NnxNetwork": "estimation.nnx_module",
     "UniversalNetwork": "models.network",
     "angular_error_deg": "metrics",
     "cache_compilations": "console",
