@@ -3,9 +3,6 @@
 The scenes come from keys that training never uses. A table has a row for all scenes,
 one for a constant normal towards the viewer, and one for every kind of light, material,
 shape and camera; a column for each number of images.
-
-With --maps it is what the network says beside the normals: how far off they may be,
-and the material.
 """
 
 import dataclasses

@@ -19,6 +19,7 @@ from unips_jax.lighting.light_fit import Lights
 
 if TYPE_CHECKING:
     from unips_jax.estimation.streaming import NormalsAndLights
+    from unips_jax.estimation.writing import Estimate
     from unips_jax.models.network import UniversalNetwork
 
 UNRELIABLE_DEG = 15.0  # of spread: a pixel above it is in the mask
@@ -80,48 +81,28 @@ def estimate_extras(
 
 
 def write_extras(
-    folder: Path,
-    extras: Extras,
-    images: np.ndarray,
-    mask: np.ndarray,
-    normals: np.ndarray,
-    transfer: Transfer,
-    names: list[str],
-    options: FolderOptions,
+    folder: Path, estimate: "Estimate", options: FolderOptions
 ) -> dict[str, Any]:
-    """Writes what the options want.
-
-    Args:
-        folder: where; it exists.
-        extras: from `estimate_extras`.
-        images: as there.
-        mask: as there.
-        normals: as there.
-        transfer: as there.
-        names: the photographs' files.
-        options: as there.
-
-    Returns:
-        For the record.
-    """
+    """Writes what the options want into a folder; returns facts for the record."""
     facts: dict[str, Any] = {}
-    lights = extras.lights
+    images, mask, transfer = estimate.images, estimate.mask, estimate.transfer
+    lights, confidence = estimate.extras
     if lights is not None:
         from unips_jax.lighting.light_files import write_base_color, write_lights
         from unips_jax.lighting.ptm import fit_texture_map, write_planes, write_ptm
 
         if options.lights:
-            write_lights(folder, names, lights)
+            write_lights(folder, list(estimate.record["images"]), lights)
         if options.base_color:
             facts["base_color"] = write_base_color(
-                folder, images, normals, mask, lights, transfer=transfer
+                folder, images, estimate.normals, mask, lights, transfer=transfer
             )
         if options.rti:
             fit = fit_texture_map(images, mask, lights, transfer=transfer)
             facts["rti"] = write_ptm(folder / "relight.ptm", fit)
             write_planes(folder, fit)
-    if extras.confidence is not None:
-        facts["confidence"] = write_confidence(folder, extras.confidence, mask)
+    if confidence is not None:
+        facts["confidence"] = write_confidence(folder, confidence, mask)
     return facts
 
 
@@ -130,13 +111,7 @@ def write_confidence(
 ) -> dict[str, Any]:
     """Writes `confidence.exr`, `confidence.png` and `unreliable.png`.
 
-    Args:
-        folder: where; it exists.
-        spread: `[H, W]`, degrees.
-        mask: `[H, W]`, bool.
-
-    Returns:
-        For the record: what levels mean, and the mean.
+    `spread` is `[H, W]`, in degrees. Returns what levels mean, and the mean.
     """
     comments = "spread of the normals over halves of the photographs, degrees; "
     comments += "NaN: no surface"

@@ -42,7 +42,7 @@ if TYPE_CHECKING:  # JAX is imported when there is something to estimate
 Progress = Callable[[int, int], None]
 Preview = Callable[[np.ndarray], None]
 
-# What the results follow from, beside photographs, weights and options.
+# The code that results follow from.
 _CODE = (
     "estimation.streaming",
     "estimation.extras",
@@ -71,25 +71,14 @@ class NamedNetwork:
 
 
 def load_network(source: str = "tiny") -> NamedNetwork:
-    """Loads weights.
-
-    Args:
-        source: the name of shipped weights, or a safetensors file.
-
-    Raises:
-        InputError: see `load_weights`.
-    """
+    """`load_weights`, with what the record says of them."""
     from unips_jax import weights
 
     return _named(weights.load_weights(source), source, trained=True)
 
 
 def random_network(seed: int = 0) -> NamedNetwork:
-    """An untrained network of the paper's size, for tests.
-
-    Args:
-        seed: of its parameters.
-    """
+    """An untrained network of the paper's size, for tests."""
     from unips_jax import weights
 
     network = weights.random_weights(ModelConfig.paper(), seed=seed)
@@ -199,15 +188,7 @@ def estimate_selection(
     on_progress: Progress | None = None,
     on_preview: Preview | None = None,
 ) -> Estimate:
-    """Reads photographs, looks for what is wrong with them, and estimates normals.
-
-    Args:
-        selection: which photographs.
-        network: from `load_network`.
-        options: how to read them.
-        verbose: see `estimate_folder`.
-        on_progress: likewise.
-        on_preview: likewise.
+    """Reads photographs, looks for faults, and estimates; see `estimate_folder`.
 
     Raises:
         InputError: if a file cannot be read or used, or a normal is not finite.
@@ -277,7 +258,7 @@ def _input_record(
     options: FolderOptions,
     reader: HashingReader,
 ) -> dict[str, Any]:
-    # Where the mask lies is no matter: its contents are told apart by their hash.
+    # The mask counts by its contents' hash, not by where it is.
     chosen = dataclasses.asdict(options)
     chosen["mask"] = "none" if options.mask == "none" else "auto"
     if options.dark is not None:

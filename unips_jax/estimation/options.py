@@ -26,7 +26,7 @@ class FolderOptions:
         exclude: patterns of files to leave out.
         max_pixels: refuse larger images; all photographs of a folder together may have
             ten times as many.
-        max_images: use so many of the photographs, drawn with the seed.
+        max_images: use no more of the photographs than this, drawn with the seed.
         seed: of that draw.
         fast: in half the time; the mirrored view is decoded at one pixel in 16, and
             docs/results.md has the price in degrees.

@@ -1,4 +1,4 @@
-"""What `estimate_folder` is told, done: which photographs, read, mended, looked at."""
+"""The photographs of a folder: chosen, read, prepared, and looked at for faults."""
 
 import dataclasses
 import functools
@@ -37,11 +37,7 @@ class Looked:
 
 
 def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
-    """Which files of a folder the options make photographs, and which the mask.
-
-    Args:
-        folder: of photographs.
-        options: what was told.
+    """Which files of a folder are photographs, and which the mask.
 
     Raises:
         InputError: see `select`; or if there is no such dark frame.
@@ -69,11 +65,7 @@ def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
 
 
 def dark_file(folder: Path, dark: Path) -> Path:
-    """The dark frame: in the folder, or where it is said to be.
-
-    Args:
-        folder: of photographs.
-        dark: as given.
+    """The dark frame: in the folder of photographs, or at its own path.
 
     Raises:
         InputError: if it is at neither place.
@@ -94,13 +86,7 @@ def read_and_look(
     *,
     verbose: bool,
 ) -> Looked:
-    """Reads photographs, does to them what was told, and says what is wrong with them.
-
-    Args:
-        selection: from `chosen_photographs`.
-        options: what was told.
-        reader: reads the files.
-        verbose: show progress.
+    """Reads photographs, prepares them as the options say, and looks for faults.
 
     Raises:
         InputError: if a file cannot be read or used.

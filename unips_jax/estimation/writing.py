@@ -108,16 +108,7 @@ def write_estimate(
             )
             if verbose:
                 print_surface(record["surface"])
-        record |= write_extras(
-            place,
-            estimate.extras,
-            estimate.images,
-            estimate.mask,
-            estimate.normals,
-            estimate.transfer,
-            list(record["images"]),
-            options,
-        )
+        record |= write_extras(place, estimate, options)
         if options.view:
             _write_view(place, target.name, estimate, record)
         if more is not None:

@@ -383,7 +383,7 @@ def sinusoids(height: int, width: int) -> Array:
 
     Args:
         height: of the grid, in cells.
-        width: likewise.
+        width: of the grid, in cells.
 
     Returns:
         `[height, width, 16]`.
