@@ -11,9 +11,12 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from flax.traverse_util import flatten_dict
+from small_networks import SMALL_OURS, lively_weights
 
 from unips_jax.errors import InputError
 from unips_jax.models.config_json import to_json
+from unips_jax.models.network import UniversalNetwork
 from unips_jax.train import load_config, main
 from unips_jax.training import log as log_module
 from unips_jax.training import loop
@@ -27,7 +30,9 @@ from unips_jax.training.safety import (
     stop_on_sigterm,
 )
 from unips_jax.training.sharding import make_mesh
+from unips_jax.training.state import TrainState
 from unips_jax.training.validation import score_table
+from unips_jax.weights import save_weights
 
 CONFIG = Config(data=DataConfig(source="mixture", root="a", batch_size=8))
 MESH = make_mesh(MeshConfig(data=1))
@@ -317,3 +322,28 @@ def test_scores_are_a_short_table():
     assert table[-1] == "  light     area 3.1, point 8.0"
     assert table[0].startswith("  material  kind00 12.3, kind01 12.3,")
     assert table[1].startswith("            kind") and table[1].endswith(" 12.3")
+
+
+def test_weights_join_a_network_that_has_grown(tmp_path):
+    """What they have is taken, what they lack stays as drawn; not the other way."""
+    grown = dataclasses.replace(SMALL_OURS, fine_dim=5, light_tokens=True)
+    data = dataclasses.replace(CONFIG.data, grid_loss=False)
+    files = {}
+    for model in (SMALL_OURS, grown):
+        files[model] = tmp_path / f"{model.fine_dim}.safetensors"
+        network = UniversalNetwork(model, lively_weights(model))
+        save_weights(files[model], network)
+    drawn = jax.tree.map(lambda x: x + 1, lively_weights(grown))
+    state = TrainState(np.int32(0), drawn, None, None)
+    config = Config(model=grown, data=data)
+    started = flatten_dict(
+        loop._start_from(state, str(files[SMALL_OURS]), config).params
+    )
+    before = flatten_dict(lively_weights(SMALL_OURS))
+    assert started.keys() == flatten_dict(drawn).keys() > before.keys()
+    for name, value in started.items():
+        expected = before.get(name, flatten_dict(drawn)[name])
+        np.testing.assert_array_equal(value, expected)
+    state = TrainState(np.int32(0), lively_weights(SMALL_OURS), None, None)
+    with pytest.raises(InputError, match=r"fine_dim.*light_tokens"):
+        loop._start_from(state, str(files[grown]), Config(model=SMALL_OURS, data=data))
