@@ -1,6 +1,5 @@
 """Checkpoints: which are kept, and what is done about damaged ones and full disks."""
 
-import contextlib
 import dataclasses
 import os
 import shutil
@@ -9,6 +8,7 @@ import subprocess
 import jax
 import numpy as np
 import pytest
+from small_disk import small_disk
 from training_runs import CONFIG, flip_a_bit, largest_file
 
 from unips_jax.errors import InputError
@@ -149,23 +149,6 @@ def test_what_was_not_completed_is_removed(run):
 def test_files_of_the_system_are_no_damage(run):
     (run / "checkpoints" / "6" / "state" / ".DS_Store").touch()
     assert restored(run) == 6
-
-
-@contextlib.contextmanager
-def small_disk(folder, size):
-    """A disk of this many bytes, which only the superuser can mount."""
-    folder.mkdir()
-    options = ["-t", "tmpfs", "-o", f"size={size}", "none", str(folder)]
-    try:
-        mounted = subprocess.run(["mount", *options], capture_output=True).returncode
-    except FileNotFoundError:
-        mounted = -1
-    if mounted != 0:
-        pytest.skip("no file system can be mounted")
-    try:
-        yield folder
-    finally:
-        subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
 def test_a_full_disk_is_one_line(tmp_path, capfd):

@@ -8,6 +8,7 @@ look at `MAX_PIXELS`. Which formats: see `io.formats`.
 """
 
 import dataclasses
+import io
 import math
 import os
 import stat
@@ -210,10 +211,9 @@ def write_exr(
     if comments:
         header["comments"] = comments
     pixels = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
-    try:
-        OpenEXR.File(header, pixels).write(str(path))
-    except RuntimeError as error:
-        raise OSError(str(error)) from error
+    data = io.BytesIO()  # OpenEXR's own errors do not tell what the file system said
+    OpenEXR.File(header, pixels).write(data)
+    path.write_bytes(data.getbuffer())
 
 
 def check_picture(path: Path, option: str) -> None:

@@ -9,7 +9,9 @@ the frame of its cameras, x right, y down, z away from the viewer; those of x-le
 x, the red channel, flipped; OpenGL's are as the arrays.
 """
 
+import io
 import stat
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -53,13 +55,23 @@ def write_normals(
     """
     turned = turn_normals(normals, normal_map)
     write_image(folder / "normals.png", encode_normals(turned))
-    np.save(folder / "normals.npy", normals)
+    _write_in_memory(folder / "normals.npy", lambda file: np.save(file, normals))
     if exr:
         write_exr(folder / "normals.exr", {"RGB": turned})
     if mat:
         import scipy.io
 
-        scipy.io.savemat(folder / "normals.mat", {"Normal_est": normals})
+        content = {"Normal_est": normals}
+        _write_in_memory(
+            folder / "normals.mat", lambda file: scipy.io.savemat(file, content)
+        )
+
+
+def _write_in_memory(path: Path, write: Callable[[io.BytesIO], None]) -> None:
+    """Writes a file whose writer would hide what the file system refuses."""
+    file = io.BytesIO()
+    write(file)
+    path.write_bytes(file.getbuffer())
 
 
 def encode_normals(normals: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Moving pictures: MP4, GIF and WebP."""
 
+import errno
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +22,7 @@ def write_animation(path: Path, frames: Iterable[np.ndarray], *, fps: float) -> 
         fps: frames per second.
 
     Raises:
-        OSError: if no encoder takes the frames.
+        OSError: if no encoder takes the frames, or they cannot be written.
     """
     if path.suffix.lower() == ".mp4":
         _write_mp4(path, frames, fps)
@@ -43,9 +44,10 @@ def write_animation(path: Path, frames: Iterable[np.ndarray], *, fps: float) -> 
 def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     import cv2
 
-    writer = None
+    writer, count = None, 0
     try:
         for frame in frames:
+            count += 1
             height, width, _ = frame.shape
             even = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)))
             if writer is None:
@@ -54,6 +56,13 @@ def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     finally:
         if writer is not None:
             writer.release()
+    reader = cv2.VideoCapture(str(path))
+    written = round(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+    reader.release()
+    if written != count:  # OpenCV writes on without a word where the disk is full
+        raise OSError(
+            errno.EIO, f"{written} of {count} frames could be written", str(path)
+        )
 
 
 def _writer(path: Path, fps: float, size: tuple[int, ...]) -> Any:
