@@ -648,6 +648,23 @@ def test_a_box_is_cut_out(opening):
     assert client.refused(f"/objects/{key}/cut", box=[1, 2])["code"] == "failed"
 
 
+def test_a_click_drops_a_piece_and_takes_it_again(opening):
+    client = opening()
+    key = client.post("/objects", example=True)["id"]
+    client.ready(key)
+    mask = np.zeros((192, 192), np.uint8)
+    mask[40:150, 40:150] = 255
+    mask[60:70, 160:170] = 255
+    data = cv2.imencode(".png", mask)[1].tobytes()
+    client.draw(key, "drawn", data)
+    client.post(f"/objects/{key}/piece", point=[165, 65])
+    answer = client.ask("GET", f"/api/objects/{key}/pictures/cut.png")
+    found = cv2.imdecode(np.frombuffer(answer.content, np.uint8), 0)
+    mask[60:70, 160:170] = 0
+    assert (found == mask).all()
+    assert client.refused(f"/objects/{key}/piece", point="x")["code"] == "failed"
+
+
 def test_a_drawn_mask_has_the_photographs_size(tmp_path):
     write_image(tmp_path / "a.png", np.full((50, 70, 3), 9, np.uint8))
     (tmp_path / "drawn.png").write_bytes(drawn(40))
@@ -698,7 +715,7 @@ def test_both_languages_say_all_of_it():
         assert gaps(text) == gaps(german[key]), key
     page = (ASSETS / "index.html").read_text()
     code = "".join(path.read_text() for path in ASSETS.glob("*.js"))
-    used = set(re.findall(r'data-t(?:-label)?="(\w+)"', page))
+    used = set(re.findall(r'data-t(?:-label|-title)?="(\w+)"', page))
     used |= set(re.findall(r'\bt\("(\w+)"', code))
     assert used <= english.keys()
     source = Path(work.__file__).parents[1]

@@ -69,6 +69,7 @@ class Api:
                     ("GET", "/pictures/{name}", self.picture),
                     ("PUT", "/mask", self.draw),
                     ("POST", "/cut", self.cut),
+                    ("POST", "/piece", self.piece),
                     ("POST", "/estimate", self.estimate),
                     ("POST", "/cancel", self.cancel),
                     ("POST", "/again", self.again),
@@ -254,13 +255,17 @@ class Api:
 
     async def cut(self, request: Request, item: Object) -> Response:
         """`{"box": [left, top, right, bottom]}`: the object in a box."""
-        box = (await _json(request)).get("box")
-        if not isinstance(box, list) or len(box) != 4:
-            raise Refused(422, "failed")
+        left, top, right, bottom = map(float, (await _json(request))["box"])
         try:
-            await self._desk.cut(item, tuple(float(value) for value in box))
+            await self._desk.cut(item, (left, top, right, bottom))
         except InputError:
             raise Refused(422, "box") from None
+        return JSONResponse({})
+
+    async def piece(self, request: Request, item: Object) -> Response:
+        """`{"point": [x, y]}`: takes or drops what is connected there."""
+        x, y = map(float, (await _json(request))["point"])
+        await self._desk.piece(item, (x, y))
         return JSONResponse({})
 
     async def estimate(self, request: Request, item: Object) -> Response:

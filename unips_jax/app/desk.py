@@ -175,6 +175,14 @@ class Desk:
             seconds=self.limits.looking_s,
         )
 
+    async def piece(self, item: Object, point: tuple[float, float]) -> None:
+        """Puts the drawn mask, changed at a point, into `pictures/cut.png`."""
+        await self._gathering.call(
+            *(work.piece, item.pictures / "picture.jpg", item.drawn, point),
+            item.pictures / "cut.png",
+            seconds=self.limits.looking_s,
+        )
+
     # Estimates.
 
     def estimate(self, item: Object, name: str, options: work.Choices) -> None:

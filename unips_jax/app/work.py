@@ -20,7 +20,6 @@ from unips_jax.io.color import Transfer, as_linear, srgb_encode
 from unips_jax.io.images import read_image_file, write_image
 
 _THUMBNAIL, _PICTURE = 240, 1024
-_DRAWN_BYTES = 8_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -219,6 +218,22 @@ def cut(picture: Path, box: Sequence[float], target: Path, *, report: Report) ->
     write_image(target, 255 * mask.astype(np.uint8))
 
 
+def piece(
+    picture: Path,
+    drawn: Path,
+    point: tuple[float, float],
+    target: Path,
+    *,
+    report: Report,
+) -> None:
+    """Takes the piece at a point of the picture into the drawn mask, or drops it."""
+    from unips_jax.capture.masks import toggle_piece
+
+    pixels = read_image_file(picture).pixels
+    mask = _drawn_mask(drawn, pixels.shape) > 127
+    write_image(target, 255 * toggle_piece(mask, pixels, point).astype(np.uint8))
+
+
 @functools.lru_cache(maxsize=1)
 def _network(weights: str) -> Any:
     from unips_jax.console import start_jax
@@ -320,14 +335,17 @@ def _write_preview(path: Path, normals: np.ndarray) -> None:
 
 
 def _full_mask(drawn: Path, photograph: Path, max_pixels: int) -> np.ndarray:
-    if drawn.stat().st_size > _DRAWN_BYTES:
-        raise InputError("expected a mask of at most 8 MB, got a larger one")
-    values = read_image_file(drawn, max_pixels=_PICTURE**2).pixels.max(axis=-1)
     shape = read_image_file(photograph, max_pixels=max_pixels).pixels.shape
-    soft = cv2.resize(values.astype(np.float32), shape[1::-1])
+    soft = _drawn_mask(drawn, shape)
     if not (soft > 127).any():
         raise InputError("the mask is empty: draw over the object, or take it all")
     return np.where(soft > 127, 255, 0).astype(np.uint8)
+
+
+def _drawn_mask(drawn: Path, shape: tuple[int, ...]) -> np.ndarray:
+    """What was drawn, in a photograph's size, from 0 to 255."""
+    values = read_image_file(drawn, max_pixels=_PICTURE**2).pixels.max(axis=-1)
+    return cv2.resize(values.astype(np.float32), shape[1::-1])
 
 
 def _write_mask(path: Path, values: np.ndarray) -> None:

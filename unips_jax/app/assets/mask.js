@@ -217,46 +217,35 @@ function paint(from, to) {
   c.globalCompositeOperation = "source-over";
 }
 
-/** Takes the connected piece of the mask at a place away. */
-function dropPiece(place) {
-  const [width, height] = [mask.width, mask.height];
-  const pixels = pixelsOf(mask).getImageData(0, 0, width, height);
-  const [x, y] = place.map(Math.floor);
-  const start = y * width + x;
-  if (x < 0 || y < 0 || x >= width || y >= height || pixels.data[4 * start + 3] < 128) return;
-  remember();
-  const open = [start];
-  while (open.length) {
-    const at = open.pop();
-    if (pixels.data[4 * at + 3] < 128) continue;
-    pixels.data[4 * at + 3] = 0;
-    const column = at % width;
-    if (column > 0) open.push(at - 1);
-    if (column < width - 1) open.push(at + 1);
-    if (at >= width) open.push(at - width);
-    if (at < width * (height - 1)) open.push(at + width);
-  }
-  pixelsOf(mask).putImageData(pixels, 0, 0);
-  edited();
-}
-
-/** GrabCut in the box, by the server. */
-async function cut() {
-  const [x, y, w, h] = rectangle().map((value) => (value * picture.width) / canvas.width);
-  if (w < 8 || h < 8) return tell(t("box_small"));
-  tell(t("box_looking"));
+/** What the server finds in the picture becomes the mask. */
+async function find(what, body, words) {
   const base = address;
+  tell(t("looking"));
   try {
-    await request("POST", `${base}/cut`, { box: [x, y, x + w, y + h] });
-    if (base !== address) return undefined;
+    await request("POST", `${base}/${what}`, body);
+    if (base !== address) return;
     remember();
     await take(`/api${base}/pictures/cut.png?${Date.now()}`);
   } catch (problem) {
-    return tell(problem.message);
+    tell(problem.message);
+    return;
   }
-  tell(t("box_found"));
+  tell(words);
   edited();
-  return undefined;
+}
+
+/** GrabCut in the box. */
+async function cut() {
+  const [x, y, w, h] = rectangle().map((value) => (value * picture.width) / canvas.width);
+  if (w < 8 || h < 8) tell(t("box_small"));
+  else await find("cut", { box: [x, y, x + w, y + h] }, t("box_found"));
+}
+
+/** Takes or drops the piece at a place; the server must have the mask for that. */
+async function piece(at) {
+  changes += 1;
+  await settled();
+  await find("piece", { point: at.map((value) => (value * picture.width) / canvas.width) }, "");
 }
 
 function place(event) {
@@ -271,7 +260,7 @@ function listen() {
     if (event.button) return;
     canvas.setPointerCapture(event.pointerId);
     const at = place(event);
-    if (tool === "piece") return dropPiece(at);
+    if (tool === "piece") return piece(at);
     stroke = { from: at, to: at };
     if (tool !== "box") {
       remember();
@@ -331,7 +320,7 @@ function keys(event) {
       paint(before, cursor);
       edited();
     }
-  } else if (event.key === " " && tool === "piece") dropPiece(cursor);
+  } else if (event.key === " " && tool === "piece") piece(cursor);
   else if (event.key === " " && paints) {
     remember();
     paint(cursor, cursor);
