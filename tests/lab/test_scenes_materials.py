@@ -104,3 +104,25 @@ def test_paint_covers_some_of_some_surfaces():
     for color, inside in zip(np.asarray(painted.base_color), covered, strict=True):
         if inside.any():  # one paint each
             assert np.ptp(color[:, inside], axis=1).max() < 1e-6
+
+
+def test_metal_is_spotted_with_paint_or_rust():
+    point = tuple(jax.random.uniform(jax.random.key(9), (3, 2000), minval=-1))
+    bare = reflectance.Surface(
+        jnp.full((3, 2000), 0.7), jnp.full(2000, 0.2), jnp.ones(2000), jnp.float32(1)
+    )
+    spot = jax.jit(
+        jax.vmap(lambda key, used: materials.spot_metal(key, used, bare, point))
+    )
+    keys, used = jax.random.split(jax.random.key(0), 60), np.arange(60) % 3 > 0
+    surface = jax.tree.map(np.asarray, spot(keys, jnp.asarray(used)))
+    share = np.mean(surface.metallic < 0.5, axis=1)
+    assert not share[~used].any() and np.all(
+        surface.base_color[~used] == np.float32(0.7)
+    )
+    assert 0.1 < np.median(share[used]) < 0.6
+    coated = surface.metallic == 0
+    rough = [
+        r[c].mean() for r, c in zip(surface.roughness, coated, strict=True) if c.any()
+    ]
+    assert 0.3 < np.mean(np.array(rough) > 0.6) < 0.8 and np.min(rough) < 0.4

@@ -6,22 +6,31 @@ Configurations are read without JAX: what renders is imported when it is first u
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from unips_jax.scenes.config import LIGHT_KINDS, MATERIALS, SHAPE_KINDS, SceneConfig
+from unips_jax.scenes.config import (
+    LIGHT_KINDS,
+    MATERIALS,
+    SHAPE_KINDS,
+    SHAPE_NAMES,
+    SceneConfig,
+)
 
 if TYPE_CHECKING:
     from unips_jax.scenes.geometry import Geometry, render_geometry
     from unips_jax.scenes.incident import IncidentLight, folder_light
+    from unips_jax.scenes.meshes import load_meshes
     from unips_jax.scenes.render import Scene, render_batch, render_scene, shade
 
 __all__ = [
     "LIGHT_KINDS",
     "MATERIALS",
     "SHAPE_KINDS",
+    "SHAPE_NAMES",
     "Geometry",
     "IncidentLight",
     "Scene",
     "SceneConfig",
     "folder_light",
+    "load_meshes",
     "render_batch",
     "render_geometry",
     "render_scene",
@@ -33,6 +42,7 @@ _MODULES = {
     "render_geometry": "geometry",
     "IncidentLight": "incident",
     "folder_light": "incident",
+    "load_meshes": "meshes",
     "Scene": "render",
     "render_batch": "render",
     "render_scene": "render",

@@ -6,6 +6,7 @@ from unips_jax.checks import check_types, require
 
 LIGHT_KINDS = ("directional", "environment", "mixed", "point", "area")
 SHAPE_KINDS = ("blob", "composition", "machine", "lathe", "thin", "relief", "plate")
+SHAPE_NAMES = (*SHAPE_KINDS, "mesh")  # of `Scene.shape_kind`
 MATERIALS = (
     "fabric",
     "concrete",
@@ -60,6 +61,10 @@ class SceneConfig:
         paint_rate: share of scenes with spots, lines or bands of another paint.
         carving_rate: share of scenes with a relief that is finer and steeper, and
             darker in its hollows.
+        mesh_rate: share of scenes whose shape is a mesh by others; of a batch, as many
+            as come nearest to it.
+        mesh_file: that holds them; see `scenes.meshes`.
+        metal_spot_rate: share, among metals, of those with spots of paint or rust.
     """
 
     light_weights: tuple[float, ...] = (0.3, 0.25, 0.25, 0.1, 0.1)
@@ -89,6 +94,9 @@ class SceneConfig:
     bounce_rate: float = 0.0
     paint_rate: float = 0.0
     carving_rate: float = 0.0
+    mesh_rate: float = 0.0
+    mesh_file: str = ""
+    metal_spot_rate: float = 0.0
 
     def __post_init__(self) -> None:
         """Checks every field.
@@ -113,6 +121,10 @@ class SceneConfig:
                 require(
                     0 <= rate <= 1, f"{name}: expected a rate in [0, 1], got {rate}"
                 )
+        require(
+            bool(self.mesh_file) or not self.mesh_rate,
+            "mesh_file: expected a file of meshes where mesh_rate is above 0, got none",
+        )
         low, high = self.focal_range_mm
         require(
             0 < low <= high,

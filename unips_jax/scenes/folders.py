@@ -22,7 +22,7 @@ from unips_jax.provenance import code_hash
 from unips_jax.scenes import (
     LIGHT_KINDS,
     MATERIALS,
-    SHAPE_KINDS,
+    SHAPE_NAMES,
     Scene,
     SceneConfig,
     render_batch,
@@ -42,7 +42,7 @@ def describe(scene: Scene) -> dict[str, Any]:
     focal_mm = float(scene.focal)
     facts: dict[str, Any] = {
         "light": LIGHT_KINDS[int(scene.light_kind)],
-        "shape": SHAPE_KINDS[int(scene.shape_kind)],
+        "shape": SHAPE_NAMES[int(scene.shape_kind)],
         "material": MATERIALS[int(scene.material)],
         **focal_facts(focal_mm, scene.mask.shape[-1]),
         "focal_mm": round(focal_mm, 3) or None,

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from unips_jax.scenes.backdrop import (
     Backdrop,
@@ -24,16 +25,16 @@ from unips_jax.scenes.grids import pick, pixel_grid, spread
 from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.poses import draw_camera, pose_and_frame
 from unips_jax.scenes.sdf import Shape, detail
-from unips_jax.scenes.shapes import draw_detail, draw_shape, is_flat
+from unips_jax.scenes.shapes import as_mesh, draw_detail, draw_shape, is_flat
 from unips_jax.scenes.tracing import (
     Camera,
     along,
     camera_rays,
     clearance,
     first_crossings,
-    gradient,
     object_point,
     soft_visibility,
+    surface_gradient,
     world_distance,
 )
 
@@ -140,7 +141,7 @@ def _visible_surface(
 
     height, pullback = jax.vjp(relief, point)
     (slope,) = pullback(jnp.full_like(height, shape.step_scale / shape.radius))
-    smooth = gradient(base, point)
+    smooth = surface_gradient(shape, to_object, point)
     normal = normalize(
         (smooth[0] - slope[0], smooth[1] - slope[1], smooth[2] - slope[2])
     )
@@ -168,6 +169,7 @@ def render_geometry(
     config: SceneConfig | None = None,
     shape: Array | int | None = None,
     camera: Array | int | None = None,
+    meshes: ArrayLike | None = None,
 ) -> Geometry:
     """Draws an object and a camera and finds what is visible: the expensive stage.
 
@@ -177,9 +179,10 @@ def render_geometry(
         config: the distribution of scenes.
         shape: index into `SHAPE_KINDS` instead of a random one.
         camera: 0 for an orthographic camera, 1 for a perspective one.
+        meshes: from `load_meshes`, where `mesh_rate` is above 0.
 
     Raises:
-        ValueError: if `size` is not a multiple of 4.
+        ValueError: if `size` is not a multiple of 4, or meshes are missing.
     """
     config = config or SceneConfig()
     if size <= 0 or size % 4:
@@ -190,13 +193,20 @@ def render_geometry(
     perspective = draws.chance(config.perspective_rate)
     perspective = perspective if camera is None else jnp.asarray(camera)
     solid = draw_shape(key_shape, kind)
+    if config.mesh_rate and shape is None:
+        if meshes is None:
+            raise ValueError("mesh_rate: expected meshes=load_meshes(config), got none")
+        key_mesh = jax.random.fold_in(key, 3)
+        solid = as_mesh(
+            Draws(key_mesh, 8), solid, jnp.asarray(meshes), config.mesh_rate
+        )
     draws = Draws(key_camera, 16 + 8 * config.rotation_candidates)
     view = draw_camera(draws, config, perspective)
     solid, pose, view, entropy = pose_and_frame(draws, config, solid, view)
     backdrop = None
     if config.whole_frame_rate:
         draws = Draws(jax.random.fold_in(key, 1), 32)
-        backdrop = draw_backdrop(draws, config.whole_frame_rate, ~is_flat(kind))
+        backdrop = draw_backdrop(draws, config.whole_frame_rate, ~is_flat(solid.kind))
         view = view._replace(window=widen_window(draws, backdrop, view.window))
     hollow = None
     if config.carving_rate:

@@ -96,12 +96,34 @@ def paint(key: Array, rate: float, surface: Surface, point: Point) -> Surface:
     sharpness = draws.log_uniform(8.0, 60.0) / scale
     share = jnp.clip(inside * sharpness + 0.5, 0.0, 1.0) * draws.chance(rate)
     color = _color(draws, draws.log_uniform(0.02, 0.9), draws.uniform(0.0, 0.7))
+    return _coat(surface, share, color, draws.uniform(0.1, 1.0))
+
+
+def _coat(surface: Surface, share: Array, color: Array, roughness: Array) -> Surface:
+    """Something that is no metal over a share `[P]` of a surface."""
     return surface._replace(
         base_color=surface.base_color + share * (color[:, None] - surface.base_color),
-        roughness=surface.roughness
-        + share * (draws.uniform(0.1, 1.0) - surface.roughness),
+        roughness=surface.roughness + share * (roughness - surface.roughness),
         metallic=surface.metallic * (1 - share),
     )
+
+
+def spot_metal(key: Array, spotted: Array, surface: Surface, point: Point) -> Surface:
+    """Spots of one paint, or of rust, on a metal; points are as in `draw_surface`."""
+    key_draws, key_seed = jax.random.split(key)
+    draws = Draws(key_draws, 16)
+    seed = jax.random.bits(key_seed, (), jnp.uint32) >> 1
+    scale = draws.log_uniform(1.5, 9.0)
+    x, y, z = (c * scale for c in point)
+    value = gradient_noise(seed, (x, y, z))
+    value = value + 0.4 * gradient_noise(seed + 1, (2.7 * y, 2.7 * z, 2.7 * x))
+    inside = value - draws.uniform(-0.15, 0.35)
+    share = jnp.clip(inside * draws.log_uniform(6.0, 40.0) + 0.5, 0.0, 1.0) * spotted
+    rust = draws.chance(0.5)
+    brown = draws.uniform(0.5, 1.3) * jnp.asarray([0.28, 0.12, 0.05])
+    color = _color(draws, draws.log_uniform(0.03, 0.9), draws.uniform(0.0, 0.8))
+    roughness = jnp.where(rust, draws.uniform(0.6, 1.0), draws.uniform(0.08, 0.6))
+    return _coat(surface, share, jnp.where(rust, brown, color), roughness)
 
 
 def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surface:

@@ -16,8 +16,8 @@ from unips_jax.scenes.tracing import (
     Camera,
     along,
     camera_rays,
-    gradient,
     sphere_interval,
+    surface_gradient,
     trace,
     world_distance,
 )
@@ -60,7 +60,7 @@ def _look(shape: Shape, camera: Camera, pose: Array) -> tuple[Array, Array, Arra
     hit = last < 0.7 / _CANDIDATE_SIZE
     # Where cuts left nothing, rays come near, but not this near.
     seen = jnp.any(world_distance(shape, to_object, point) < 1e-3)
-    slope = gradient(lambda p: world_distance(shape, to_object, p), point)
+    slope = surface_gradient(shape, to_object, point)
     normals = jnp.stack(normalize(slope), -1)
     margin = 0.7 / _CANDIDATE_SIZE
     bounds = [

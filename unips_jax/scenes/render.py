@@ -1,19 +1,21 @@
 """Scenes: a geometry shaded under drawn materials and lights, and recorded."""
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from unips_jax.scenes.backdrop import above
-from unips_jax.scenes.config import SceneConfig
+from unips_jax.scenes.config import MATERIALS, SceneConfig
 from unips_jax.scenes.draws import Draws
 from unips_jax.scenes.geometry import Geometry, render_geometry
 from unips_jax.scenes.incident import IncidentLight, incident_light
 from unips_jax.scenes.lamps import draw_lights, draw_sides
-from unips_jax.scenes.materials import draw_surface, paint
+from unips_jax.scenes.materials import draw_surface, paint, spot_metal
 from unips_jax.scenes.noise import normalize
 from unips_jax.scenes.rims import extend
 from unips_jax.scenes.sensor import record
@@ -32,7 +34,7 @@ class Scene(NamedTuple):
             mask, zero outside. Where the mask is larger than the object
             (`SceneConfig.rim_rate`) they continue those of its border.
         light_kind: index into `LIGHT_KINDS`.
-        shape_kind: index into `SHAPE_KINDS`.
+        shape_kind: index into `SHAPE_NAMES`.
         material: index into `MATERIALS`.
         focal: 35 mm equivalent in mm; 0 for orthographic cameras.
         light_directions: `[N, 3]`, unit, of directional scenes, else zero.
@@ -92,6 +94,13 @@ def shade(
     if config.paint_rate:
         key_paint = jax.random.fold_in(key_surface, 2)
         surface = paint(key_paint, config.paint_rate, surface, local)
+    if config.metal_spot_rate:
+        key_spots = jax.random.fold_in(key_surface, 3)
+        spotted = Draws(jax.random.fold_in(key_spots, 1), 1).chance(
+            config.metal_spot_rate
+        )
+        spotted &= matter == MATERIALS.index("metal")
+        surface = spot_metal(key_spots, spotted, surface, local)
     sides = near = None
     if config.bounce_rate:
         draws = Draws(jax.random.fold_in(key_lights, 3), 2)
@@ -154,6 +163,7 @@ def render_scene(
     material: Array | int | None = None,
     shape: Array | int | None = None,
     camera: Array | int | None = None,
+    meshes: ArrayLike | None = None,
     incident: bool = False,
 ) -> Scene:
     """Draws a scene: a pure function of the key.
@@ -167,16 +177,22 @@ def render_scene(
         material: index into `MATERIALS` instead of a random one.
         shape: index into `SHAPE_KINDS` instead of a random one.
         camera: 0 for an orthographic camera, 1 for a perspective one.
+        meshes: from `load_meshes`, where `mesh_rate` is above 0.
         incident: whether `Scene.incident` is worked out; static under jit.
 
     Raises:
-        ValueError: if `size` is not a multiple of 4.
+        ValueError: if `size` is not a multiple of 4, or meshes are missing.
     """
     key_geometry, key_shade = jax.random.split(key)
     # GPUs would round places and colours to 10 bits of mantissa in products.
     with jax.default_matmul_precision("float32"):
         geometry = render_geometry(
-            key_geometry, size=size, config=config, shape=shape, camera=camera
+            key_geometry,
+            size=size,
+            config=config,
+            shape=shape,
+            camera=camera,
+            meshes=meshes,
         )
         return shade(
             key_shade,
@@ -197,4 +213,17 @@ def render_batch(keys: Array, **options: Any) -> Scene:
 
     Options are those of `render_scene`, the same for all.
     """
-    return jax.vmap(lambda key: render_scene(key, **options))(keys)
+    config, count = options.get("config") or SceneConfig(), len(keys)
+    meshes = round(config.mesh_rate * count)
+
+    def render(keys: Array, **changes: Any) -> Scene:
+        return jax.vmap(lambda key: render_scene(key, **options | changes))(keys)
+
+    if not 0 < meshes < count:
+        return render(keys)
+    # Apart: in one program every scene would pay for both kinds of shape.
+    parts = (
+        render(part, config=dataclasses.replace(config, mesh_rate=rate))
+        for part, rate in ((keys[:meshes], 1.0), (keys[meshes:], 0.0))
+    )
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)

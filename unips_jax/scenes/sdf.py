@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
+from unips_jax.scenes.meshes import grid_distance
 from unips_jax.scenes.noise import Point, dot, gradient_noise, rotate, sine
 
 NUM_UNIONS = 4
@@ -103,7 +104,10 @@ class Shape(NamedTuple):
         detail: fine relief.
         center: `[3]` and
         radius: scalar, a sphere around everything.
-        kind: index into `SHAPE_KINDS`.
+        kind: index into `SHAPE_NAMES`.
+        grid: `[G, G, G]`, of a mesh instead; None where no scene has one.
+        stretch: `[3]`, by which the mesh is stretched, mirrored where negative.
+        is_mesh: whether the grid is the shape; None: always.
     """
 
     slots: Array
@@ -120,6 +124,9 @@ class Shape(NamedTuple):
     center: Array
     radius: Array
     kind: Array
+    grid: Array | None = None
+    stretch: Array | None = None
+    is_mesh: Array | None = None
 
 
 def _larger(a: Array, b: Array | float) -> Array:
@@ -220,12 +227,24 @@ def without_cuts(shape: Shape) -> Shape:
 def distance(shape: Shape, point: Point) -> Array:
     """Signed distance to the shape without its detail, in its frame, negative inside.
 
-    The slots are composed in a loop: written out, the compiler's fusion repeats
-    their common parts.
-
-    Returns:
-        A lower bound of the distance (approximately), scaled to be safe to march.
+    A lower bound (approximately), scaled to be safe to march.
     """
+    if shape.grid is None:
+        return _drawn_distance(shape, point)
+    if shape.is_mesh is None:
+        return _mesh_distance(shape, point)
+    return lax.cond(shape.is_mesh, _mesh_distance, _drawn_distance, shape, point)
+
+
+def _mesh_distance(shape: Shape, point: Point) -> Array:
+    assert shape.grid is not None and shape.stretch is not None
+    stretch = shape.stretch
+    inner = tuple(c / stretch[i] for i, c in enumerate(point))
+    return grid_distance(shape.grid, inner) * jnp.min(jnp.abs(stretch))
+
+
+def _drawn_distance(shape: Shape, point: Point) -> Array:
+    # In a loop: written out, the compiler's fusion repeats the slots' common parts.
     width = _width(shape, point[1])
     folded = _fold(shape, point, width)
 

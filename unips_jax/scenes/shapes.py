@@ -1,13 +1,14 @@
 """Draws shapes: what the slots of `sdf.Shape` hold for each kind of object."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from unips_jax.scenes.config import SHAPE_KINDS
+from unips_jax.scenes.config import SHAPE_KINDS, SHAPE_NAMES
 from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.sdf import (
     NUM_KNOTS,
@@ -315,6 +316,35 @@ def _slab(draws: Draws, rate: Array, middle: Array, radius: Array) -> Array:
     half = draws.uniform(0.35, 0.75) * radius
     offset = draws.uniform(-0.25, 0.25) * radius
     return jnp.stack([middle + offset, jnp.where(draws.chance(rate), half, 1e3)])
+
+
+def as_mesh(draws: Draws, shape: Shape, meshes: Array, rate: float) -> Shape:
+    """A mesh in the place of a share of the drawn shapes; its fine relief stays.
+
+    Args:
+        draws: at least 6 numbers.
+        shape: a drawn one.
+        meshes: `[M, G, G, G]`, see `scenes.meshes`.
+        rate: the share; what is always or never wanted is compiled alone.
+    """
+    is_mesh = draws.chance(rate)
+    stretch = (
+        draws.uniform(0.65, 1.0, 3)
+        .at[0]
+        .multiply(jnp.where(draws.chance(0.5), 1.0, -1.0))
+    )
+    grid = meshes[draws.choice(np.ones(len(meshes)))]
+    plain = {
+        "center": jnp.zeros(3),
+        "radius": jnp.ones(()),
+        "step_scale": jnp.ones(()),
+        "kind": jnp.int32(SHAPE_NAMES.index("mesh")),
+    }
+    changed: dict[str, Any] = {"grid": grid, "stretch": stretch}
+    for name, value in plain.items():
+        old = getattr(shape, name)
+        changed[name] = value if rate == 1 else jnp.where(is_mesh, value, old)
+    return shape._replace(**changed, is_mesh=None if rate == 1 else is_mesh)
 
 
 def draw_shape(key: Array, kind: Array) -> Shape:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from unips_jax.scenes.grids import pixel_grid
+from unips_jax.scenes.meshes import cell_of
 from unips_jax.scenes.noise import Point, dot, normalize, rotate
 from unips_jax.scenes.sdf import Shape, distance
 
@@ -152,6 +153,26 @@ def gradient(function, point: Point) -> Point:
 
     x, y, z = jax.lax.map(slope, jnp.eye(3))
     return x, y, z
+
+
+def surface_gradient(shape: Shape, to_object: Array, point: Point) -> Point:
+    """Derivative of the distance; across a cell of a grid, whose own has steps."""
+    if shape.grid is None:
+        return gradient(lambda p: world_distance(shape, to_object, p), point)
+    half: Array | float = 0.75 * cell_of(shape.grid)
+    if shape.is_mesh is not None:
+        half = jnp.where(shape.is_mesh, half, 1e-3)
+
+    def slope(axis: Array) -> Array:
+        ahead, behind = (
+            world_distance(
+                shape, to_object, tuple(c + s * axis[i] for i, c in enumerate(point))
+            )
+            for s in (half, -half)
+        )
+        return (ahead - behind) / (2 * half)
+
+    return tuple(jax.lax.map(slope, jnp.eye(3)))
 
 
 def clearance(

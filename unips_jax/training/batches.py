@@ -7,10 +7,10 @@ from contextlib import AbstractContextManager
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from unips_jax.models.config import SelfCalibratingConfig
-from unips_jax.scenes import render_batch
+from unips_jax.scenes import load_meshes, render_batch
 from unips_jax.training.config import Config
 from unips_jax.training.folders import draw_num_images, folder_batches
 from unips_jax.training.sharding import batch_sharding
@@ -74,13 +74,14 @@ def _scene_renderer(
 
     # Scenes always have the largest number of images: one compilation serves all.
     @functools.partial(jax.jit, out_shardings=sharding)
-    def render(step: jax.Array) -> Batch:
+    def render(step: jax.Array, meshes: jax.Array | None) -> Batch:
         keys = jax.random.split(jax.random.fold_in(key, step), data.batch_size)
         scene = render_batch(
             keys,
             size=data.image_size,
             num_images=max(data.num_images),
             config=config.scenes,
+            meshes=meshes,
             incident=kinds,
         )
         batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
@@ -94,11 +95,14 @@ def _scene_renderer(
     def take(sets: Batch, count: int) -> Batch:
         return jax.tree.map(lambda x: x[:, :count], sets)
 
+    meshes = load_meshes(config.scenes)
+    if meshes is not None:
+        meshes = jax.device_put(meshes, NamedSharding(mesh, PartitionSpec()))
     with compiling("what makes the scenes"):
-        compiled = render.lower(np.int32(0)).compile()
+        compiled = render.lower(np.int32(0), meshes).compile()
 
     def scenes(step: int) -> Batch:
-        batch = compiled(np.int32(step))
+        batch = compiled(np.int32(step), meshes)
         count = draw_num_images(data.num_images, config.train.seed, step)
         names = {"images", "lights", "incident"} & batch.keys()
         return batch | take({name: batch[name] for name in names}, count)

@@ -20,9 +20,10 @@ from unips_jax.pictures.maps import error_picture, normals_picture, photograph_p
 from unips_jax.scenes import (
     LIGHT_KINDS,
     MATERIALS,
-    SHAPE_KINDS,
+    SHAPE_NAMES,
     Scene,
     SceneConfig,
+    load_meshes,
     render_scene,
 )
 from unips_jax.training.config import Config
@@ -47,12 +48,14 @@ def held_out_scenes(
     **scene_options: Any,
 ) -> Iterator[Scene]:
     """Held-out scenes; arguments as in `validate`."""
+    meshes = load_meshes(scenes)
     for index in range(count):
         yield _render(
             held_out_key(index),
             size=size,
             num_images=num_images,
             config=scenes,
+            meshes=meshes,
             **scene_options,
         )
 
@@ -170,6 +173,6 @@ def _groups(scene: Scene) -> list[str]:
     return [
         f"light/{LIGHT_KINDS[int(scene.light_kind)]}",
         f"material/{MATERIALS[int(scene.material)]}",
-        f"shape/{SHAPE_KINDS[int(scene.shape_kind)]}",
+        f"shape/{SHAPE_NAMES[int(scene.shape_kind)]}",
         f"camera/{camera}",
     ]

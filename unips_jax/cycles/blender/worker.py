@@ -110,7 +110,7 @@ class Studio:
         layer = scene.view_layers[0]
         layer.use_pass_normal = layer.use_pass_z = True
         scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 0.01
-        scene.render.image_settings.file_format = "OPEN_EXR_MULTILAYER"
+        _file_format(scene, "OPEN_EXR_MULTILAYER")
         self._world(None)
         self._lamps([])
         _render(path, size=size, samples=1, denoise=False, seed=0)
@@ -144,7 +144,7 @@ class Studio:
         scene = bpy.context.scene
         scene.cycles.pixel_filter_type = "BLACKMAN_HARRIS"
         scene.cycles.filter_width = 1.5
-        scene.render.image_settings.file_format = "OPEN_EXR"
+        _file_format(scene, "OPEN_EXR")
         self._world(environment)
         self._lamps(lamps)
         _render(path, size=size, samples=samples, denoise=denoise, seed=seed)
@@ -217,6 +217,16 @@ def _settings(scene: Any, threads: int) -> None:
     for name in PASSES:
         aov = layer.aovs.add()
         aov.name, aov.type = name, "COLOR" if name == "baseColor" else "VALUE"
+
+
+def _file_format(scene: Any, name: str) -> None:
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):  # Blender 5 asks for this one first
+        layered = name == "OPEN_EXR_MULTILAYER"
+        settings.media_type = "MULTI_LAYER_IMAGE" if layered else "IMAGE"
+    settings.file_format = name
+    if hasattr(settings, "use_exr_interleave"):  # else a part for each pass
+        settings.use_exr_interleave = True
 
 
 def _render(path: str, *, size: int, samples: int, denoise: bool, seed: int) -> None:
