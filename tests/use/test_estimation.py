@@ -2,6 +2,9 @@
 
 import dataclasses
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -430,3 +433,40 @@ def test_a_gradient_with_respect_to_a_network_is_one(network):
     assert np.isfinite(
         np.concatenate([x.ravel() for x in jax.tree.leaves(found)])
     ).all()
+
+
+EXPLICIT = """
+import sys
+import jax
+import jax.numpy as jnp
+import numpy as np
+jax.config.update("jax_num_cpu_devices", 2)
+sys.path.insert(0, sys.argv[1])
+from jax.sharding import AxisType, NamedSharding, PartitionSpec as P
+from small_networks import lively_network
+from unips_jax import estimate_normals
+
+network, mask = lively_network(), jnp.ones((16, 16), bool)
+images = jax.random.uniform(jax.random.key(0), (4, 16, 16, 3))
+expected = estimate_normals(network, images, mask)
+for kind in (AxisType.Auto, AxisType.Explicit):
+    mesh = jax.make_mesh((2,), ("n",), axis_types=(kind,))
+    split = jax.device_put(images, NamedSharding(mesh, P("n")))
+    try:
+        found = estimate_normals(network, split, mask)
+    except ValueError as error:
+        print(kind, error)
+    else:
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+        print(kind, "right")
+"""
+
+
+def test_meshes_of_explicit_axes_are_refused_in_one_line():
+    here = str(Path(__file__).parents[1])
+    run = subprocess.run(
+        [sys.executable, "-c", EXPLICIT, here], capture_output=True, text=True
+    )
+    auto, explicit = run.stdout.splitlines()
+    assert auto.endswith("Auto right")
+    assert "expected a mesh of AxisType.Auto, got Explicit axes ['n']" in explicit

@@ -60,7 +60,8 @@ def estimate_normals(
 
     Raises:
         TypeError: if the network is not one.
-        ValueError: if the shapes do not fit each other.
+        ValueError: if the shapes do not fit each other, or the images are sharded over
+            Explicit axes of a mesh.
 
     Source: UniPS (Ikehata, CVPR 2022), Sec. 4.
     """
@@ -79,6 +80,12 @@ def estimate_normals(
     if mask.shape != images.shape[1:3]:
         raise ValueError(
             f"mask: expected the images' [H, W] = {images.shape[1:3]}, got {mask.shape}"
+        )
+    split = [axis for axis in jax.typeof(images).sharding.spec if axis is not None]
+    if split:
+        raise ValueError(
+            f"images: expected a mesh of AxisType.Auto, got Explicit axes {split}; "
+            "make it by jax.make_mesh(..., axis_types=(AxisType.Auto,) * n)"
         )
     if valid is not None and jnp.shape(valid) != images.shape[:1]:
         raise ValueError(
