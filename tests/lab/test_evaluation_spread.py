@@ -174,3 +174,12 @@ def test_figures_as_a_data_frame(work):
     pytest.importorskip("pandas", reason="pandas is not installed")
     frame = unips_jax.load_results(work).frame()
     assert list(frame.columns) == list(figures.COLUMNS)
+
+
+def test_every_object_and_interval_is_drawn_where_there_are_enough():
+    errors = {("a", name, "sun", None, None): 10.0 + i for i, name in enumerate("xyz")}
+    titles = [chart.title for chart in charts.charts(results_of(errors))]
+    assert any("95 % interval" in title for title in titles)
+    del errors["a", "z", "sun", None, None]
+    titles = [chart.title for chart in charts.charts(results_of(errors))]
+    assert not any("95 % interval" in title for title in titles)

@@ -15,7 +15,8 @@ from matplotlib.ticker import NullLocator
 
 from unips_jax.evaluation import published
 from unips_jax.evaluation.results import Results, average, lit, mean_error
-from unips_jax.evaluation.spread import deviation
+from unips_jax.evaluation.spread import deviation, errors_by_object
+from unips_jax.evaluation.statistics import interval
 from unips_jax.evaluation.styles import PUBLISHED, Style, styles
 from unips_jax.pictures.maps import ERROR_LIMIT_DEG
 
@@ -40,7 +41,7 @@ class Chart(NamedTuple):
 
 def charts(results: Results) -> list[Chart]:
     """All charts that a run has data for."""
-    drawn = [_error_chart(results)]
+    drawn = [_error_chart(results), _interval_chart(results)]
     drawn += [_images_chart(results, lit) for lit in results.lightings or (None,)]
     return [chart for chart in drawn if chart.legend]
 
@@ -65,6 +66,36 @@ def _error_chart(results: Results) -> Chart:
     axes.set_xlabel("angular error (degrees)")
     axes.set_ylabel("pixels below it (%)")
     return Chart("How many pixels are below an error?", _svg(figure), legend)
+
+
+def _interval_chart(results: Results) -> Chart:
+    """A row for each method: its objects, their mean, and its 95 % interval."""
+    figure, axes = _figure()
+    legend: list[tuple[str, Style]] = []
+    for label, style in styles(results.labels).items():
+        errors = errors_by_object(results, label, results.main_count)
+        objects = {name: list(own.values()) for name, own in errors.items()}
+        ends = interval(objects)
+        if ends is None:
+            continue
+        entries = [x for own in objects.values() for x in own]
+        mean, row = sum(entries) / len(entries), -len(legend)
+        means = [sum(own) / len(own) for own in objects.values()]
+        # One path, so that the legend hides all of it: dots, interval, mean.
+        x = [v for dot in means for v in (dot, np.nan)]
+        x += [*ends, np.nan, mean, mean]
+        y = [row] * (len(x) - 2) + [row - 0.28, row + 0.28]
+        plain = style._replace(dashes="", width=2.0)
+        dots = slice(0, 2 * len(means), 2)
+        _draw(axes, x, y, plain, len(legend), marker="o", markevery=dots)
+        legend.append((label, plain))
+    axes.set_ylim(0.6 - max(len(legend), 1), 0.6)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    axes.set_xlim(left=0)
+    axes.set_xlabel("mean angular error (degrees)")
+    title = "Every object, their mean, and its 95 % interval, method by method"
+    return Chart(title, _svg(figure) if legend else b"", legend)
 
 
 def _images_chart(results: Results, lighting: str | None) -> Chart:
@@ -128,6 +159,7 @@ def _draw(
     i: int,
     marker: str = "",
     bars: Sequence[float] = (),
+    markevery: slice | None = None,
 ) -> None:
     """A line, and bars of half these lengths in the same path: one name, one switch."""
     points = len(x)
@@ -141,7 +173,7 @@ def _draw(
         linewidth=style.width,
         marker=marker,
         markersize=4,
-        markevery=slice(0, points),
+        markevery=markevery or slice(0, points),
     )
     if style.dashes:
         line.set_dashes([float(length) for length in style.dashes.split()])

@@ -16,6 +16,7 @@ from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.scores import error_map
 from unips_jax.evaluation.sections import sections
 from unips_jax.evaluation.sheets import Panel
+from unips_jax.evaluation.summary import turned_axes
 from unips_jax.evaluation.tables import TEMPLATES, environment
 from unips_jax.pictures.maps import error_picture, frame, normals_picture, shrink
 
@@ -140,6 +141,7 @@ def report(
             for i, chart in enumerate(charts(results))
         ],
         exhibits=exhibits,
+        warnings=[f"{k}: {t.remark}" for k, t in turned_axes(results).items()],
         # "<" must not close the script element that holds the JSON.
         pictures=json.dumps(pictures).replace("<", "\\u003c"),
         style=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
