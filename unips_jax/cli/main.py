@@ -18,6 +18,7 @@ COMMANDS = {
     "relight": ("cli.relight", "images of normals and materials under new light"),
     "app": ("cli.app", "all of it in a browser, on this machine"),
     "view": ("cli.view", "a result as an HTML file to look at"),
+    "multiview": ("cli.multiview", "results of several views, for whole objects"),
     "validate": ("cli.validate", "score weights on held-out scenes"),
     "eval": ("cli.evaluate", "evaluate UniPS and other methods on benchmarks"),
     "render": ("cli.render", "make scenes with known normals"),

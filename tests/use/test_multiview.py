@@ -1,0 +1,186 @@
+"""Several views of an object, read back by the conventions of those who read them."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from unips_jax.cli.multiview import main
+from unips_jax.io.images import read_image, write_image
+from unips_jax.io.normals import decode_normals, write_normals
+from unips_jax.io.results import file_hash, write_record
+
+WIDTH, HEIGHT, FOCAL = 60, 44, 70.0
+RADIUS, MIDDLE = 0.5, np.array([0.3, -0.2, 4.0])
+OFFSET = np.array([1.5, -2.0])  # of the principal point
+
+
+def rotation(angle):
+    """World to camera: turned about the vertical, then tilted a little."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    tilt = np.array([[1, 0, 0], [0, 0.96, -0.28], [0, 0.28, 0.96]])
+    return tilt @ turn
+
+
+def camera(index):
+    turn = rotation(0.7 * index)
+    return turn, MIDDLE - turn.T @ [0, 0, 3.0]  # it looks at the middle
+
+
+def seen(index, width=WIDTH, height=HEIGHT):
+    """Normals of a sphere (x right, y up, z towards the viewer), by tracing rays."""
+    turn, center = camera(index)
+    scale = width / WIDTH
+    y, x = np.mgrid[:height, :width] + 0.5
+    middle = scale * (np.array([WIDTH, HEIGHT]) / 2 + OFFSET)
+    rays = np.stack([x - middle[0], y - middle[1], 0 * x + FOCAL * scale], -1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    to = turn @ (MIDDLE - center)
+    along = rays @ to
+    inside = along**2 - to @ to + RADIUS**2
+    depth = along - np.sqrt(np.maximum(inside, 0))
+    normals = (rays * depth[..., None] - to) / RADIUS * [1, -1, -1]
+    return (normals * (inside > 0)[..., None]).astype(np.float32)
+
+
+def sfm_data(folder, version):
+    """As AliceVision writes it: text for numbers, matrices column by column."""
+    if version == "1.0":
+        point = np.array([WIDTH, HEIGHT]) / 2 + OFFSET
+        lens = {"pxFocalLength": str(FOCAL), "pxInitialFocalLength": "-1"}
+    else:
+        point = OFFSET
+        lens = {"sensorWidth": "36", "focalLength": str(36 * FOCAL / WIDTH)}
+        lens["pixelRatio"] = "1"
+    lens |= {"intrinsicId": "77", "type": "pinhole", "distortionParams": []}
+    lens |= {"width": str(WIDTH), "height": str(HEIGHT)}
+    lens["principalPoint"] = [str(value) for value in point]
+    views, poses = [], []
+    for index in range(3):
+        turn, center = camera(index)
+        for light in range(2):
+            number = 100 * index + light
+            path = str(folder / f"place{index}" / f"{light}.png")
+            view = {"viewId": str(number), "poseId": str(5 + index), "path": path}
+            view |= {"intrinsicId": "77", "width": str(WIDTH), "height": str(HEIGHT)}
+            views.append(view | {"metadata": {"a": "b"}})
+        transform = {"rotation": [str(value) for value in turn.T.ravel()]}
+        transform["center"] = [str(value) for value in center]
+        pose = {"transform": transform, "locked": "0"}
+        poses.append({"poseId": str(5 + index), "pose": pose})
+    content = {"version": version.split(".") + ["0"], "views": views}
+    return content | {"intrinsics": [lens], "poses": poses}
+
+
+def write_results(folder, index, *, half=False, color=True):
+    photographs = folder / f"place{index}"
+    for light in range(2):
+        image = np.full((HEIGHT, WIDTH, 3), 90 + light, np.uint8)
+        write_image(photographs / f"{light}.png", image)
+    result = folder / "results" / f"place{index}"
+    result.mkdir(parents=True)
+    size = (WIDTH // 2, HEIGHT // 2) if half else (WIDTH, HEIGHT)
+    write_normals(result, seen(index, *size))
+    if color:
+        base = np.full((*size[::-1], 3), 1000 * (index + 1), np.uint16)
+        write_image(result / "base_color.png", base)
+    names = ("0.png", "1.png")
+    images = {name: file_hash(photographs / name) for name in names}
+    write_record(result, {"folder": str(photographs), "images": images})
+    return result
+
+
+def given(tmp_path, version="1.2", **options):
+    content = sfm_data(tmp_path, version)
+    (tmp_path / "in.sfm").write_text(json.dumps(content))
+    return [str(write_results(tmp_path, index, **options)) for index in range(3)]
+
+
+@pytest.mark.parametrize("version", ["1.0", "1.2"])
+def test_idr_cameras_project_as_the_views_do(tmp_path, version, capsys):
+    results = given(tmp_path, version, half=version == "1.0")
+    out = tmp_path / "out"
+    assert (
+        main([*results[::-1], "--sfm", str(tmp_path / "in.sfm"), "-o", str(out)]) == 0
+    )
+    assert "3 views" in capsys.readouterr().out
+    cameras = np.load(out / "cameras.npz")
+    for index in range(3):
+        normals = decode_normals(read_image(out / "normal" / f"{index:03}.png"))
+        mask = cv2.imread(str(out / "mask" / f"{index:03}.png"), 0) > 0
+        truth = seen(index, mask.shape[1], mask.shape[0])
+        np.testing.assert_array_equal(mask, (truth != 0).any(-1))
+        np.testing.assert_allclose(normals[mask], truth[mask], atol=2e-5)
+        # As IDR and NeuS take it apart: K, R and t of world_mat times scale_mat.
+        world, scale = (cameras[f"{name}_mat_{index}"] for name in ("world", "scale"))
+        matrix, turn, place = cv2.decomposeProjectionMatrix((world @ scale)[:3])[:3]
+        factor = mask.shape[1] / WIDTH
+        expected = factor * (np.array([WIDTH, HEIGHT]) / 2 + OFFSET)
+        np.testing.assert_allclose(matrix[:2, 2] / matrix[2, 2], expected, rtol=1e-6)
+        assert matrix[0, 0] / matrix[2, 2] == pytest.approx(FOCAL * factor)
+        np.testing.assert_allclose(turn, camera(index)[0], atol=1e-9)
+        # The unit sphere is the object's: the middle within 6%, little of it outside.
+        np.testing.assert_allclose(scale[:3, 3], MIDDLE, atol=0.06 * RADIUS)
+        assert 0.98 * RADIUS < scale[0, 0] < 1.12 * RADIUS
+        place = scale[:3, :3] @ (place[:3] / place[3]).ravel() + scale[:3, 3]
+        np.testing.assert_allclose(place, camera(index)[1], atol=1e-6)
+        # The middle normal turned to the world looks at the camera.
+        towards = camera(index)[1] - MIDDLE
+        y, x = np.mgrid[: mask.shape[0], : mask.shape[1]] + 0.5
+        spot = world @ [*(MIDDLE + RADIUS * towards / np.linalg.norm(towards)), 1]
+        column, row = (spot[:2] / spot[2]).astype(int)
+        turned = camera(index)[0].T @ (normals[row, column] * [1, -1, -1])
+        assert turned @ towards / np.linalg.norm(towards) > 0.99
+
+
+def test_sfm_data_has_scaled_lenses_and_pictures(tmp_path):
+    results = given(tmp_path, half=True)
+    out = tmp_path / "out"
+    assert main([*results, "--sfm", str(tmp_path / "in.sfm"), "-o", str(out)]) == 0
+    original = sfm_data(tmp_path, "1.2")
+    for kind in ("normal", "mask", "albedo"):
+        data = json.loads((out / f"{kind}s.sfm").read_text())
+        assert [view["viewId"] for view in data["views"]] == ["0", "100", "200"]
+        assert data["poses"] == original["poses"]
+        for index, view in enumerate(data["views"]):
+            assert view["path"] == str((out / kind / f"{index:03}.png").resolve())
+        (lens,) = data["intrinsics"]
+        assert (lens["width"], lens["height"]) == (str(WIDTH // 2), str(HEIGHT // 2))
+        # Millimetres stay, pixels are half as many.
+        assert lens["focalLength"] == original["intrinsics"][0]["focalLength"]
+        np.testing.assert_allclose(np.array(lens["principalPoint"], float), OFFSET / 2)
+    color = cv2.imread(str(out / "albedo" / "002.png"), cv2.IMREAD_UNCHANGED)
+    assert color.dtype == np.uint16 and (color == 3000).all()
+
+
+def test_what_does_not_belong_is_refused(tmp_path, capsys):
+    results = given(tmp_path, color=False)
+    sfm, out = str(tmp_path / "in.sfm"), str(tmp_path / "out")
+
+    def refused(arguments, text):
+        assert main(arguments) == 2
+        error = capsys.readouterr().err
+        assert text in error and error.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
+    refused(
+        [results[0], "--sfm", sfm, "-o", out], "expected views from different sides"
+    )
+    refused([*results, results[0], "--sfm", sfm, "-o", out], "got 5 again")
+    refused([str(tmp_path), "--sfm", sfm, "-o", out], "normals.json: cannot be read")
+    content = sfm_data(tmp_path / "elsewhere", "1.2")
+    (tmp_path / "other.sfm").write_text(json.dumps(content))
+    other = ["--sfm", str(tmp_path / "other.sfm"), "-o", out]
+    refused([*results, *other], "expected photographs of a pose")
+    for text in ("[]", "{", '{"views": [], "intrinsics": []}'):
+        (tmp_path / "other.sfm").write_text(text)
+        refused([*results, *other], "expected ")
+    # Without colours there is no albedo; distortion is not passed over in silence.
+    content = sfm_data(tmp_path, "1.2")
+    content["intrinsics"][0]["distortionParams"] = ["0.1"]
+    (tmp_path / "in.sfm").write_text(json.dumps(content))
+    assert main([*results, "--sfm", sfm, "-o", out]) == 0
+    assert "its lenses distort" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "albedos.sfm").exists()

@@ -1,0 +1,143 @@
+"""Results of several views of an object, as programs for whole objects read them.
+
+RESULTS are folders that `unips estimate` wrote, one for each place of the camera. Where
+the camera was is in SfMData (.sfm, .json) of AliceVision or Meshroom, whose views of a
+pose are its photographs. OUT receives normal/000.png (16 bits), mask/000.png,
+albedo/000.png if all results have a base colour, and cameras.npz as IDR describes it,
+for RNb-NeuS2 and its kin; normals.sfm, masks.sfm and albedos.sfm for Meshroom.
+"""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from unips_jax.console import command, parse
+from unips_jax.errors import InputError
+from unips_jax.io.cameras import (
+    Camera,
+    enclosing_sphere,
+    idr_cameras,
+    read_sfm_data,
+    sfm_data_of,
+)
+from unips_jax.io.images import read_image, write_image
+from unips_jax.io.normal_maps import read_normal_map
+from unips_jax.io.normals import encode_normals
+from unips_jax.io.record import print_line
+from unips_jax.io.results import (
+    appearing_at_once,
+    check_target,
+    file_hash,
+    whole_record,
+)
+
+FOLDER_RECORD = "views.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `unips multiview`.
+
+    Attributes:
+        results: folders that `unips estimate` wrote, a pose each.
+        sfm: SfMData with the poses.
+        output: folder for the files.
+    """
+
+    results: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RESULTS...")
+    ]
+    sfm: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> None:
+    """`unips multiview`."""
+    options = parse(Options, argv, prog="unips multiview", description=__doc__)
+    cameras, content = read_sfm_data(options.sfm)
+    found: dict[str, tuple[Camera, Path]] = {}
+    for folder in options.results:
+        check_target(options.output, folder, record=FOLDER_RECORD)
+        camera = _camera_of(folder, cameras, options.sfm)
+        if camera.pose in found:
+            raise InputError(
+                f"{folder}: expected the results of another pose, got {camera.pose} "
+                f"again, which {found[camera.pose][1]} is of; leave one out"
+            )
+        found[camera.pose] = camera, folder
+    pairs = sorted(found.values(), key=lambda pair: cameras.index(pair[0]))
+    if any(camera.distorted for camera, _ in pairs):
+        print(
+            f"warning: {options.sfm}: its lenses distort, cameras.npz cannot say so; "
+            "estimate from photographs without distortion (Meshroom: ExportImages)",
+            file=sys.stderr,
+        )
+    with appearing_at_once(options.output, record=FOLDER_RECORD) as place:
+        radius = _write(place, options.output, pairs, content)
+    print_line("wrote", f"{options.output}: {len(pairs)} views, radius {radius:.4g}")
+
+
+def _camera_of(folder: Path, cameras: list[Camera], sfm: Path) -> Camera:
+    """The pose whose photographs these are, else that of the folder's name."""
+    record = whole_record(folder)
+    source = Path(record["folder"])
+    files = {str((source / name).resolve()) for name in record["images"]}
+    for camera in cameras:
+        if files & set(camera.photographs):
+            return camera
+    for camera in cameras:
+        if camera.pose == folder.resolve().name:
+            return camera
+    raise InputError(
+        f"{folder}: expected photographs of a pose of {sfm}, got those of {source}; "
+        "estimate from the files that it lists, or name the folder as the pose"
+    )
+
+
+def _write(
+    place: Path, target: Path, pairs: list[tuple[Camera, Path]], content: dict[str, Any]
+) -> float:
+    cameras = [camera for camera, _ in pairs]
+    colors = all((folder / "base_color.png").is_file() for _, folder in pairs)
+    kinds = ["normal", "mask", *(["albedo"] if colors else [])]
+    masks, sizes = [], []
+    for index, (_, folder) in enumerate(pairs):
+        normals = read_normal_map(folder).normals
+        mask = (normals != 0).any(axis=-1)
+        masks.append(mask)
+        sizes.append((mask.shape[1], mask.shape[0]))
+        name = f"{index:03}.png"
+        write_image(place / "normal" / name, encode_normals(normals))
+        write_image(place / "mask" / name, mask.astype(np.uint8) * 255)
+        if colors:
+            color = read_image(folder / "base_color.png")
+            write_image(place / "albedo" / name, color)
+    center, radius = enclosing_sphere(cameras, masks)
+    arrays: dict[str, Any] = dict(idr_cameras(cameras, sizes, center, radius))
+    np.savez(place / "cameras.npz", **arrays)
+    for kind in kinds:
+        files = [
+            str(target.resolve() / kind / f"{index:03}.png")
+            for index in range(len(pairs))
+        ]
+        data = sfm_data_of(content, cameras, files, sizes)
+        (place / f"{kind}s.sfm").write_text(json.dumps(data, indent=1), "utf-8")
+    record = {
+        "views": [{"pose": c.pose, "result": str(f)} for c, f in pairs],
+        "center": center.tolist(),
+        "radius": radius,
+        "files": {"cameras.npz": file_hash(place / "cameras.npz")},
+    }
+    (place / FOLDER_RECORD).write_text(json.dumps(record, indent=1), "utf-8")
+    return radius
+
+
+if __name__ == "__main__":
+    sys.exit(main())
