@@ -229,8 +229,10 @@ def idr_cameras(
 ) -> dict[str, np.ndarray]:
     """Arrays of a `cameras.npz`: `world_mat_i` and `scale_mat_i`, `[4, 4]`.
 
-    Source: https://github.com/lioryariv/idr, DATA_CONVENTION.md: world_mat_i takes points
-    of the world to pixels, scale_mat_i takes the unit sphere to the one around the object.
+    The first takes points of the world to pixels, the second the unit sphere to the one
+    around the object.
+
+    Source: https://github.com/lioryariv/idr, DATA_CONVENTION.md.
     """
     scale = np.diag([radius, radius, radius, 1.0])
     scale[:3, 3] = center
