@@ -5,6 +5,7 @@ import struct
 import cv2
 import numpy as np
 import pytest
+from gltf_reader import read_glb
 from PIL import Image
 
 from unips_jax.errors import InputError
@@ -61,15 +62,32 @@ def test_mesh_is_read_back(suffix, tmp_path):
     assert len(read.faces) == count == 2 * 12 * 16 - 2 * 3 - 1
     np.testing.assert_allclose(read.vertices, mesh.vertices * scale, atol=1e-6)
     np.testing.assert_array_equal(read.faces, mesh.faces)
-    painted = read.visual.vertex_colors[:, :3] / 255
     expected = colors.reshape(-1, 3)[mesh.pixels] / 255
-    if suffix == ".glb":
+    if suffix != ".glb":
+        painted = read.visual.vertex_colors[:, :3] / 255
+    else:  # trimesh does not know that integers of 16 bits are normalised
+        content, accessor = read_glb(path)
+        attributes = content["meshes"][0]["primitives"][0]["attributes"]
+        painted = accessor(attributes["COLOR_0"])[:, :3]
         expected = np.where(
             expected <= 0.04045, expected / 12.92, ((expected + 0.055) / 1.055) ** 2.4
         )
     np.testing.assert_allclose(painted, expected, atol=0.003)
     unit = b"unit: m" if suffix == ".glb" else b"unit: mm"
     assert suffix == ".glb" or unit in path.read_bytes()
+
+
+def test_dark_photographs_keep_their_levels_in_glb(tmp_path):
+    """Of 64 dark levels 14 were left when colours had 8 linear bits."""
+    depth = np.zeros((8, 8), np.float32)
+    colors = np.repeat(np.arange(64, dtype=np.uint8).reshape(8, 8, 1), 3, -1)
+    path = tmp_path / "mesh.glb"
+    write_mesh(path, mesh_of_depth(depth), colors=colors)
+    content, accessor = read_glb(path)
+    number = content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]
+    found = content["accessors"][number]
+    assert found["normalized"] and found["componentType"] == 5123
+    assert len(np.unique(accessor(number)[:, 0])) == 64
 
 
 def test_glb_is_whole(tmp_path):

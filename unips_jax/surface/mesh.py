@@ -13,6 +13,7 @@ import numpy as np
 
 from unips_jax.errors import InputError, install_hint
 from unips_jax.io.color import as_linear
+from unips_jax.surface.gltf import GltfMesh, encode_glb
 
 SUFFIXES = (".ply", ".obj", ".glb")
 CUT = 20.0
@@ -113,18 +114,24 @@ def write_mesh(
     painted = None
     if colors is not None:
         painted = np.asarray(colors).reshape(-1, 3)[mesh.pixels]
-        if path.suffix == ".glb":
-            painted = _linear(painted)
     shape = trimesh.Trimesh(vertices, faces, process=False)
     if max_faces is not None and len(faces) > max_faces:
         shape = _simplified(shape, max_faces)
         if painted is not None:
             painted = painted[_nearest(vertices, shape.vertices)]
-    if painted is not None:
-        shape.visual.vertex_colors = painted
     stated = "m" if scale != 1 or unit == "m" else unit
-    shape.units = stated
-    path.write_bytes(_encoded(shape, path.suffix, f"unit: {stated}"))
+    if path.suffix == ".glb":
+        colors = None if painted is None else as_linear(painted, "srgb")
+        given = GltfMesh(
+            shape.vertices, shape.faces, shape.vertex_normals, colors=colors
+        )
+        data = encode_glb(given, name=path.stem, facts={"unit": stated})
+    else:
+        if painted is not None:
+            shape.visual.vertex_colors = painted
+        shape.units = stated
+        data = _encoded(shape, path.suffix, f"unit: {stated}")
+    path.write_bytes(data)
     return len(shape.faces)
 
 
@@ -210,11 +217,6 @@ def _nearest(known: np.ndarray, asked: np.ndarray) -> np.ndarray:
     from scipy.spatial import cKDTree
 
     return cKDTree(known).query(asked)[1]
-
-
-def _linear(colors: np.ndarray) -> np.ndarray:
-    """SRGB to linear, both uint8."""
-    return np.round(as_linear(colors, "srgb") * 255).astype(np.uint8)
 
 
 def _encoded(shape: Any, suffix: str, comment: str) -> bytes:
