@@ -71,7 +71,7 @@ def encode_glb(
         "doubleSided": True,  # a relief has a back that one may see
         "pbrMetallicRoughness": dict(_MATT),
     }
-    images = []
+    images: list[dict[str, Any]] = []
     for picture, place, key in (
         (mesh.base_color, material["pbrMetallicRoughness"], "baseColorTexture"),
         (mesh.normal_map, material, "normalTexture"),

@@ -114,7 +114,7 @@ def write_mesh(
     painted = None
     if colors is not None:
         painted = np.asarray(colors).reshape(-1, 3)[mesh.pixels]
-    shape = trimesh.Trimesh(vertices, faces, process=False)
+    shape: Any = trimesh.Trimesh(vertices, faces, process=False)
     if max_faces is not None and len(faces) > max_faces:
         shape = _simplified(shape, max_faces)
         if painted is not None:
