@@ -70,6 +70,13 @@ Mean angular errors in degrees over an object's pixels, then over objects: lower
 better. A constant normal towards the viewer is the floor; a result near it means
 that something is broken.
 """
+SECONDS = """
+## Seconds
+
+By `tools/seconds.py`: whole processes, cold with an empty cache, then warm. The growth
+is that of `estimate_photographs`, compiled, under a mask of 55 %.
+
+"""
 SPEED = """
 ## Speed and memory
 
@@ -143,10 +150,33 @@ def page(shipped: str) -> str:
         "\n## Other weights\n\n",
         "Each measured on the scenes of its time.\n\n",
         markdown(["hash", "date", "steps", *(title for title, *_ in HEADLINES)], rows),
+        seconds_table(),
         SPEED,
         speed_table(),
     ]
     return "".join(parts)
+
+
+def seconds_table() -> str:
+    """The tables of `seconds.json`; nothing if it was not measured."""
+    path = FOLDER / "seconds.json"
+    if not path.is_file():
+        return ""
+    found = json.loads(path.read_text())
+    rows = [
+        [row["what"]]
+        + [row[run][part] for run in ("cold", "warm") for part in ("cpu", "wall")]
+        + [f"{row['warm']['gb']:.1f}"]
+        for row in found["rows"]
+    ]
+    columns = ["", "cold, CPU s", "wall s", "warm, CPU s", "wall s", "GB"]
+    parts = [markdown(columns, rows)]
+    for key, title in (("images", "images of 128 x 128"), ("side", "side, 4 images")):
+        sizes, seconds = zip(*found["growth"][key], strict=True)
+        cells = ["CPU s", *(f"{x:.1f}" for x in seconds)]
+        parts.append("\n" + markdown([title, *map(str, sizes)], [cells]))
+    made = f"{found['processor']}, jax {found['jax']}, {found['date']}"
+    return f"{SECONDS}{''.join(parts)}\n`python tools/seconds.py`, {made}.\n"
 
 
 def speed_table() -> str:

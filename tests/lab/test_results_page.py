@@ -222,3 +222,22 @@ def test_what_confidence_is_worth_is_read_by_source(readings, monkeypatch):
             ["set: of the pixels", "25%", "0%"],
         ],
     }
+
+
+def test_seconds_are_tables_of_their_file(tool, tmp_path, monkeypatch):
+    table = tool["seconds_table"]
+    monkeypatch.setitem(table.__globals__, "FOLDER", tmp_path)
+    assert table() == ""
+    run = {"cpu": 20.04, "wall": 12.0, "gb": 1.26}
+    found = {
+        "date": "2026-11-28",
+        "processor": "a processor, 2 cores",
+        "jax": "0.10.2",
+        "rows": [{"what": "`unips demo`", "cold": run, "warm": run | {"cpu": 9.0}}],
+        "growth": {"images": [[2, 0.5], [4, 1.0]], "side": [[64, 0.25]]},
+    }
+    (tmp_path / "seconds.json").write_text(json.dumps(found))
+    lines = table().splitlines()
+    assert "| `unips demo` | 20.0 | 12.0 | 9.0 | 12.0 | 1.3 |" in lines
+    assert "| images of 128 x 128 | 2 | 4 |" in lines
+    assert lines[-1].endswith("a processor, 2 cores, jax 0.10.2, 2026-11-28.")

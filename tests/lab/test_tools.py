@@ -269,3 +269,14 @@ def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "half as wide as `small`" in error
     assert not output.exists()
+
+
+def test_seconds_of_a_process_are_its_own(tmp_path):
+    tool = runpy.run_path(str(TOOLS / "seconds.py"))
+    idle = tool["measured"](["-c", "import time; time.sleep(0.4)"], tmp_path)
+    assert idle["wall"] >= 0.4 > idle["cpu"]
+    busy = "import time\nwhile time.process_time() < 0.5: pass"
+    assert tool["measured"](["-c", busy], tmp_path)["cpu"] >= 0.5
+    assert abs(tool["disc"](640, 74_000).sum() - 74_000) < 500
+    with pytest.raises(SystemExit, match="ended with status"):
+        tool["measured"](["-c", "raise SystemExit(3)"], tmp_path)
