@@ -288,3 +288,20 @@ def test_the_example_is_the_same_as_a_function_and_as_a_program(tmp_path, monkey
     assert found["made"] < 3 < 30 < found["constant"]
     # The program's photographs were rounded to 16 bits.
     assert found["by_example:neighbours=5"] == pytest.approx(found["made"], abs=0.05)
+
+
+@pytest.mark.parametrize(("sign", "warned"), [(1, False), (-1, True)])
+def test_where_the_truth_is_withheld_slopes_tell(tmp_path, capsys, sign, warned):
+    root = data.make_uw(tmp_path / "data", size=(60, 64))
+    rows, columns = np.mgrid[:60, :64] / 6.0
+    # Of a surface whose height is a sum of waves, all of them aslant.
+    p, q = np.cos(rows + columns), -np.cos(rows + columns)
+    normals = np.stack([-p, -q * sign, np.ones_like(p)], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    (tmp_path / "mine").mkdir()
+    np.save(tmp_path / "mine" / "cat.npy", normals.astype(np.float32))
+    named = ["--benchmark", "uw", "--root", str(root), "--objects", "cat"]
+    chosen = ["--workdir", str(tmp_path / "work"), "--no-pictures"]
+    request = ["-m", f"files:{tmp_path / 'mine'}"]
+    assert evaluation.main([*named, *chosen, *request]) == 0
+    assert ("an axis seems to be the other way" in capsys.readouterr().err) == warned

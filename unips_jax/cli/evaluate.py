@@ -227,8 +227,8 @@ def _evaluate(plan: planning.Plan, store: Store, typed: str, *, pictures: bool) 
         exhibits = list(track(drawn, "drawing", total=len(plan.benchmark)))
         header = publish.header_of(plan, typed)
         written.append(publish.write_report(store, header, results, tables, exhibits))
-    for label, turned in summary.turned_axes(results).items():
-        print(f"warning: {label}: {turned.remark}", file=sys.stderr)
+    for label, line in summary.turned_axes(results).items():
+        print(f"warning: {label}: {line}", file=sys.stderr)
     table = tables[0]
     print_table(table.title, table.names, table.shown)
     for path in written:

@@ -25,6 +25,7 @@ _MEANINGS = {
     "x and y": ("x and y are both reversed, concave for convex", "x=left,y=down"),
     "channels": ("the channels stand in the order z, y, x", "channels=bgr"),
 }
+_DECIDING = 0.2  # a correlation
 _LEAST_GAIN_DEG, _LARGEST_SHARE, _AGREEING = 5.0, 0.7, 0.75
 
 
@@ -50,6 +51,22 @@ class Turned(NamedTuple):
             f"it seems that {self.meaning}: {self.turned:.1f} degrees when turned, "
             f"{self.as_given:.1f} as given (files:DIR,{self.options} says so)"
         )
+
+
+def misfit(integrabilities: Sequence[float]) -> str:
+    """What is said of a method whose slopes do not fit together; empty where they do.
+
+    Args:
+        integrabilities: of its objects; see `io.normal_maps`.
+    """
+    decided = [x for x in integrabilities if abs(x) > _DECIDING]
+    if not decided or sum(x < 0 for x in decided) < _AGREEING * len(decided):
+        return ""
+    mean = sum(decided) / len(decided)
+    return (
+        "slopes do not fit together as a surface's do (correlation "
+        f"{mean:+.2f}): an axis seems to be the other way, x or y"
+    )
 
 
 def errors_if_turned(

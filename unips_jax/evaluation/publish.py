@@ -148,6 +148,8 @@ def write_inputs(plan: Plan, folder: Path) -> Iterator[Path]:
 
 
 def _write_observed(place: Path, observed: Observed) -> None:
+    for stale in place.glob("L_*.png"):  # of a command that showed more images
+        stale.unlink()
     top = max(1.0, float(observed.images.max()))
     for i, image in enumerate(observed.images):
         pixels = np.rint(np.clip(image / top, 0, 1) * 65535).astype(np.uint16)

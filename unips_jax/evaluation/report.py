@@ -141,7 +141,7 @@ def report(
             for i, chart in enumerate(charts(results))
         ],
         exhibits=exhibits,
-        warnings=[f"{k}: {t.remark}" for k, t in turned_axes(results).items()],
+        warnings=[f"{k}: {line}" for k, line in turned_axes(results).items()],
         # "<" must not close the script element that holds the JSON.
         pictures=json.dumps(pictures).replace("<", "\\u003c"),
         style=(TEMPLATES / "report.css").read_text(encoding="utf-8"),

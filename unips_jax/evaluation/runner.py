@@ -20,6 +20,7 @@ from unips_jax.evaluation.protocols import Case, show, shown_normals
 from unips_jax.evaluation.scores import Score, best_signs, from_json, score
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.variants import Variant
+from unips_jax.io.normal_maps import integrability
 
 _POLL_S = 0.2
 
@@ -41,6 +42,7 @@ class Result:
         name: of the result in the store.
         seed: of the subset; None where all images are used.
         turned: of methods that are not ours: mean errors with their axes turned.
+        integrability: of these where the truth is withheld; see `io.normal_maps`.
     """
 
     entry: str
@@ -55,6 +57,7 @@ class Result:
     name: str
     seed: int | None = None
     turned: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    integrability: float = 0.0
 
     @property
     def reason(self) -> str:
@@ -154,6 +157,9 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
         record["score"] = score(normals, case.normals, mask)._asdict()
         if variant.foreign and not variant.oracle:
             record["turned"] = errors_if_turned(normals, case.normals, mask)
+    elif variant.foreign:
+        surface = np.where(mask[..., None], normals, 0)
+        record["integrability"] = integrability(surface)
     store.commit(task.name, record, np.where(mask[..., None], normals, 0))
 
 
@@ -202,6 +208,7 @@ def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
                 task.name,
                 task.subset.seed,
                 record.get("turned", {}),
+                record.get("integrability", 0.0),
             )
         )
     return results

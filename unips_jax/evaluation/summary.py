@@ -1,6 +1,6 @@
 """From results to tables. Nothing here depends on when or where they were computed."""
 
-from unips_jax.evaluation.axes import Turned, find_turned
+from unips_jax.evaluation.axes import find_turned, misfit
 from unips_jax.evaluation.cells import (
     Cell,
     Column,
@@ -304,8 +304,8 @@ def _remarks(results: Results) -> Table:
         for entry in results.entries
         for note in entry.notes
     ]
-    for label, turned in turned_axes(results).items():
-        rows.append(_remark("all", label, turned.remark))
+    for label, line in turned_axes(results).items():
+        rows.append(_remark("all", label, line))
     refused: dict[tuple[str, str], list[str]] = {}
     for label in results.labels:
         for result in results.of(label, results.main_count):
@@ -322,14 +322,19 @@ def _remarks(results: Results) -> Table:
     return Table("remarks", "Remarks", head, rows)
 
 
-def turned_axes(results: Results) -> dict[str, Turned]:
-    """Methods that are not ours and whose axes seem turned."""
-    found: dict[str, Turned] = {}
+def turned_axes(results: Results) -> dict[str, str]:
+    """Methods that are not ours and whose axes seem turned, with a line on it.
+
+    Found by their scores; where the truth is withheld, by their slopes alone.
+    """
+    found: dict[str, str] = {}
     for label in results.labels:
         own = results.of(label, results.main_count)
         pairs = [(r.score.mae, r.turned) for r in own if r.score and r.turned]
         if turned := find_turned(pairs):
-            found[label] = turned
+            found[label] = turned.remark
+        elif line := misfit([result.integrability for result in own]):
+            found[label] = line
     return found
 
 
