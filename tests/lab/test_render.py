@@ -10,7 +10,7 @@ import pytest
 from unips_jax.cli import render
 from unips_jax.io.claims import claim
 from unips_jax.io.ps_wild import write_folder
-from unips_jax.scenes import Scene, folders
+from unips_jax.scenes import SHAPE_KINDS, Scene, folders
 
 
 @pytest.fixture
@@ -134,6 +134,20 @@ def test_trees_are_kept_unless_of_other_code(monkeypatch, tmp_path, capsys, scen
     (tmp_path / "directional" / "obj000.data" / "meta.json").unlink()
     assert render.main(arguments) == 2
     assert "obj000.data: expected a folder of" in capsys.readouterr().err
+
+
+def test_shapes_come_in_turn(monkeypatch, tmp_path, scene, capsys):
+    batch = jax.tree.map(lambda leaf: np.asarray(leaf)[None], scene)
+    drawn = []
+    monkeypatch.setattr(
+        folders, "render_batch", lambda *_, shape, **__: drawn.append(shape) or batch
+    )
+    arguments = ["-o", str(tmp_path), "--objects", "3", "--images", "2"]
+    assert render.main([*arguments, "--shapes", "relief", "plate"]) == 0
+    kinds = [SHAPE_KINDS[kind] for kind in drawn[::3]]
+    assert kinds == ["relief", "plate", "relief"] and len(drawn) == 9
+    assert render.main([*arguments, "--shapes", "relief"]) == 2
+    assert "'shapes': ['relief', 'plate']" in capsys.readouterr().err
 
 
 def test_several_processes_share_a_tree(monkeypatch, tmp_path, scene):

@@ -19,10 +19,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from unips_jax.console import command, parse, start_jax
+from unips_jax.console import command, one_of, parse, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
 from unips_jax.io.images import check_picture
+from unips_jax.scenes.config import SHAPE_KINDS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Options:
         images: per folder.
         size: side of the images in pixels, a multiple of 4.
         seed: of the scenes.
+        shapes: of the objects, in turn; any without.
         engine: what renders.
     """
 
@@ -50,6 +52,7 @@ class Options:
     images: int = 8
     size: int = 128
     seed: int = 0
+    shapes: Annotated[tuple[str, ...], one_of(SHAPE_KINDS, several=True)] = ()
     engine: Literal["jax", "cycles"] = "jax"
 
 
@@ -89,6 +92,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             images=options.images,
             size=options.size,
             seed=options.seed,
+            shapes=options.shapes,
         )
         print(f"wrote {options.output}")
 

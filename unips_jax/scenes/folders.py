@@ -22,6 +22,7 @@ from unips_jax.provenance import code_hash
 from unips_jax.scenes import (
     LIGHT_KINDS,
     MATERIALS,
+    SHAPE_KINDS,
     SHAPE_NAMES,
     Scene,
     SceneConfig,
@@ -56,7 +57,13 @@ def describe(scene: Scene) -> dict[str, Any]:
 
 
 def render_folders(
-    out: Path, *, objects: int, images: int, size: int, seed: int
+    out: Path,
+    *,
+    objects: int,
+    images: int,
+    size: int,
+    seed: int,
+    shapes: tuple[str, ...] = (),
 ) -> None:
     """Writes `out/LIGHTING/objNNN.data` for every object and lighting.
 
@@ -69,11 +76,14 @@ def render_folders(
         images: per folder.
         size: side in pixels, a multiple of 4.
         seed: of the whole tree.
+        shapes: some of `SHAPE_KINDS`, which objects take in turn; any without.
 
     Raises:
         InputError: if a folder is there that was rendered otherwise, or by other code.
     """
-    options = {"seed": seed, "size": size, "images": images}
+    options: dict[str, Any] = {"seed": seed, "size": size, "images": images}
+    if shapes:
+        options["shapes"] = list(shapes)
     locks = out / ".locks"
     locks.mkdir(parents=True, exist_ok=True)
     folders = {
@@ -88,8 +98,10 @@ def render_folders(
         if _is_there(folder, options):  # another process was faster
             continue
         key = jax.random.fold_in(jax.random.key(seed), index)
+        kind = shapes[index % len(shapes)] if shapes else None
         batch = render_batch(
             key[None],
+            shape=None if kind is None else np.int32(SHAPE_KINDS.index(kind)),
             size=size,
             num_images=images,
             config=_FOLDER_CONFIG,
@@ -98,19 +110,21 @@ def render_folders(
         scene = jax.tree.map(lambda leaf: leaf[0], batch)
         facts = {"seed": seed, "object": index, "size": size, **describe(scene)}
         facts["code"] = code_hash(*_CODE)
+        if shapes:
+            facts["shapes"] = list(shapes)
         photographs, mask, normals = map(
             np.asarray, (scene.images, scene.mask, scene.normals)
         )
         write_folder(folder, photographs, mask, normals, facts)
 
 
-def _is_there(folder: Path, options: dict[str, int]) -> bool:
-    """Refuses a folder of another seed, size, number of photographs or code."""
+def _is_there(folder: Path, options: dict[str, Any]) -> bool:
+    """Refuses a folder of another seed, size, number, shapes or code."""
     if not folder.exists():
         return False
     facts = read_meta(folder)
     facts["images"] = len(list(folder.glob("L_*")))
-    found = {name: facts.get(name) for name in options}
+    found = {k: facts[k] for k in ("seed", "size", "images", "shapes") if k in facts}
     if found != options:
         raise InputError(
             f"{folder}: expected a folder of {options}, got one of {found}; choose "

@@ -1,0 +1,58 @@
+r"""The long run: rich scenes at a constant rate, until nothing more is gained.
+
+    python tools/fetch_assets.py assets --shapes
+    unips train --config configs/long.py --workdir runs/long --init-weights tiny
+
+What: `tiny` from its weights, on scenes of which a third are meshes by others and a
+third lie in photographed environments, with light that bounces from what is near,
+paint, carvings, spotted metal, and borders that mix with a background in 30 % (masks
+are learnt). Images of 192 x 192 show detail finer than the encoder's own. The parts
+and losses that gain (`configs/ablation.py`) are options, as there. A fork that falls
+shows what a checkpoint is worth: copy the folder, and go on in it with
+`--train.steps N --optim.fall-steps 400`.
+Hardware: two CPU cores, over as many sittings as it takes. Time and score: none yet.
+"""
+
+import dataclasses
+import runpy
+from pathlib import Path
+
+from unips_jax.scenes.config import SceneConfig
+from unips_jax.training.config import Config
+
+SHAPES = Path(__file__).parents[1] / "assets" / "shapes" / "shapes.npz"
+
+
+def get_config() -> Config:
+    """The configuration."""
+    tiny = runpy.run_path(str(Path(__file__).with_name("tiny.py")))["get_config"]()
+    return dataclasses.replace(
+        tiny,
+        data=dataclasses.replace(tiny.data, image_size=192),
+        scenes=SceneConfig(
+            light_weights=(0.25, 0.34, 0.25, 0.08, 0.08),
+            shape_weights=(0.14, 0.2, 0.17, 0.14, 0.08, 0.15, 0.12),
+            material_weights=(0.1, 0.09, 0.09, 0.08, 0.08, 0.2, 0.12, 0.06, 0.1, 0.08),
+            perspective_rate=0.5,
+            rim_rate=0.3,
+            side_rate=0.15,
+            whole_frame_rate=0.1,
+            photograph_rate=0.33,
+            bounce_rate=0.5,
+            paint_rate=0.25,
+            carving_rate=0.3,
+            metal_spot_rate=0.3,
+            mesh_rate=0.33,
+            mesh_file=str(SHAPES),
+        ),
+        optim=dataclasses.replace(
+            tiny.optim,
+            learning_rate=4e-4,
+            warmup_steps=100,
+            fall_steps=2500,
+            ema_decay=0.995,
+        ),
+        train=dataclasses.replace(
+            tiny.train, steps=14_500, seed=670, checkpoint_every=50, validate_every=2500
+        ),
+    )
