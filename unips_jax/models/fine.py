@@ -14,7 +14,7 @@ from jax import Array
 from jax.typing import DTypeLike
 
 from unips_jax.models import ops
-from unips_jax.models.set_attention import layer_norm
+from unips_jax.models.set_attention import Dense, layer_norm
 
 
 def node_matrix(cells: int) -> np.ndarray:
@@ -56,7 +56,8 @@ class Fine(nn.Module):
         x = jnp.concatenate([ops.gelu(seen), normed], axis=-1)
         x = ops.gelu(self._conv(self.features, (3, 1, 1), "join")(x))
         zeros = nn.initializers.zeros
-        change = self._conv(contexts.shape[-1], (3, 1, 1), "change", zeros)
+        width = contexts.shape[-1]
+        change = Dense(width, dtype=self.dtype, kernel_init=zeros, name="change")
         return contexts + change(x)
 
     def _conv(
@@ -64,7 +65,6 @@ class Fine(nn.Module):
         features: int,
         shape: tuple[int, int, int],
         name: str,
-        init: nn.initializers.Initializer | None = None,
     ) -> nn.Conv:
         """A convolution; `shape` is its side, stride and padding."""
         side, stride, padding = shape
@@ -74,7 +74,7 @@ class Fine(nn.Module):
             strides=stride,
             padding=padding,
             dtype=self.dtype,
-            kernel_init=init or nn.initializers.he_normal(),
+            kernel_init=nn.initializers.he_normal(),
             conv_general_dilated=ops.convolution,
             name=name,
         )

@@ -13,8 +13,6 @@ from jax.typing import DTypeLike
 
 # Up to this many inputs of a strided convolution's output they are copied together.
 _FEW_INPUTS = 64
-# Up to this many cells the derivative of reading a grid is a product with weights.
-_SMALL_GRID = 576
 
 
 def wide_dtype(dtype: DTypeLike) -> np.dtype:
@@ -185,16 +183,7 @@ def bilinear_sample(grid: Array, rows: Array, columns: Array, *, zeros: bool) ->
     if not zeros:
         rows = jnp.clip(rows, 0, h - 1)
         columns = jnp.clip(columns, 0, w - 1)
-    small = h * w <= _SMALL_GRID
-    read = _gathered_or_product if small else _gathered
-    values = read(grid.reshape(h, w, -1), rows, columns)
-    return values.reshape(-1, *grid.shape[2:])
-
-
-def _gathered(grid: Array, rows: Array, columns: Array) -> Array:
-    """The four cells around each place, weighted: `[h, w, C]` to `[P, C]`."""
-    h, w, channels = grid.shape
-    flat = grid.reshape(h * w, channels)
+    flat = grid.reshape(h * w, -1)
     top, left = jnp.floor(rows), jnp.floor(columns)
     total = jnp.zeros((), grid.dtype)
     for dy in (0, 1):
@@ -206,42 +195,7 @@ def _gathered(grid: Array, rows: Array, columns: Array) -> Array:
             corner = jnp.take(flat, index.astype(jnp.int32), axis=0)
             weight = jnp.where(inside, weight, 0).astype(grid.dtype)
             total = total + corner * weight[:, None]
-    return total
-
-
-@jax.custom_jvp
-def _gathered_or_product(grid: Array, rows: Array, columns: Array) -> Array:
-    # Its derivative is a product with all cells' weights: a gather's becomes a scatter,
-    # which is slow on CPU.
-    return _gathered(grid, rows, columns)
-
-
-@functools.partial(_gathered_or_product.defjvp, symbolic_zeros=True)
-def _gathered_or_product_jvp(primals: Any, tangents: Any) -> Any:
-    grid, rows, columns = primals
-    value = _gathered_or_product(grid, rows, columns)
-    known_zero = [isinstance(tangent, SymbolicZero) for tangent in tangents]
-    if not all(known_zero[1:]):
-        tangents = [
-            jnp.zeros_like(primal) if zero else tangent
-            for primal, tangent, zero in zip(primals, tangents, known_zero, strict=True)
-        ]
-        return value, jax.jvp(_product, primals, tuple(tangents))[1]
-    if known_zero[0]:
-        return value, jnp.zeros_like(value)
-    return value, _product(tangents[0], rows, columns)
-
-
-def _product(grid: Array, rows: Array, columns: Array) -> Array:
-    """What `_gathered` gives, as a product with the weights of all cells."""
-    h, w, channels = grid.shape
-    cell_rows = jnp.arange(h, dtype=rows.dtype)[None]
-    cell_columns = jnp.arange(w, dtype=columns.dtype)[None]
-    row_weights = jnp.maximum(1 - abs(rows[:, None] - cell_rows), 0)
-    column_weights = jnp.maximum(1 - abs(columns[:, None] - cell_columns), 0)
-    weights = row_weights[:, :, None] * column_weights[:, None, :]
-    weights = weights.reshape(-1, h * w).astype(grid.dtype)
-    return weights @ grid.reshape(h * w, channels)
+    return total.reshape(-1, *grid.shape[2:])
 
 
 def convolution(
