@@ -39,6 +39,7 @@ export function showRunning(object) {
 }
 
 export function showEnded(object) {
+  byId("ended-text").classList.toggle("problem", object.state !== "cancelled");
   byId("ended-text").textContent = t(`ended_${object.state}`, { error: object.error });
 }
 
@@ -49,11 +50,12 @@ export function showDone(object) {
   byId("gone").hidden = files.length > 0;
   byId("zip").href = `${base}/zip/all.zip`;
   byId("zip").hidden = byId("own-tab").hidden = !files.length;
-  byId("own-tab").href = `${base}/results/view.html`;
+  byId("own-tab").href = `${base}/results/view.html#${current()}`;
   const viewer = byId("viewer");
   viewer.hidden = !there;
   viewer.title = object.name;
-  if (there && viewer.getAttribute("src") !== `${base}/results/view.html`) viewer.src = `${base}/results/view.html`;
+  const page = `${base}/results/view.html#${current()}`;
+  if (there && viewer.getAttribute("src") !== page) viewer.src = page;
   byId("folder").textContent = object.folder ? t("folder", { folder: object.folder }) : "";
   fill(byId("files"), [current(), object.id, files], () => {
     const rest = new Set(files);
