@@ -3,30 +3,38 @@
 import asyncio
 import dataclasses
 import hmac
-import os
 import shutil
 import time
-import zipfile
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from unips_jax.app import work
+from unips_jax.app.answers import (
+    Refused,
+    answered,
+    body_of,
+    file_answer,
+    file_in,
+    json_of,
+    store_body,
+    zipped,
+)
 from unips_jax.app.desk import Desk
 from unips_jax.app.objects import OVER, Object, Photograph, clean, unused
+from unips_jax.app.shown import short, whole
 from unips_jax.app.sorting import use
 from unips_jax.errors import InputError
 from unips_jax.io.naming import VIDEO_SUFFIXES
-from unips_jax.io.results import RECORD
 from unips_jax.io.selection import SUFFIXES
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_MASK_BYTES, _JSON_BYTES = 8_000_000, 100_000
+_MASK_BYTES = 8_000_000
 _ROOM = 300_000_000  # bytes of the disk that stay free
 _VIEW = {  # a result's page: its own scripts, and nothing of ours
     "x-frame-options": "SAMEORIGIN",
@@ -34,15 +42,6 @@ _VIEW = {  # a result's page: its own scripts, and nothing of ours
     "default-src 'none'; img-src data: blob:; script-src 'unsafe-inline'; "
     "style-src 'unsafe-inline'; frame-ancestors 'self'",
 }
-
-
-class Refused(Exception):
-    """A request that can't be done; `code` is one of `strings.json`."""
-
-    def __init__(self, status: int, code: str, **values: Any) -> None:
-        """Values are for the gaps of the code's text."""
-        super().__init__(code)
-        self.answer = JSONResponse({"code": code, "values": values}, status)
 
 
 class Api:
@@ -57,10 +56,10 @@ class Api:
         """For Starlette."""
         one = "/api/objects/{id}"
         return [
-            Route("/api/objects", _answered(self.list), methods=["GET"]),
-            Route("/api/objects", _answered(self.begin), methods=["POST"]),
+            Route("/api/objects", answered(self.list), methods=["GET"]),
+            Route("/api/objects", answered(self.begin), methods=["POST"]),
             *(
-                Route(one + path, _answered(self._of(handler)), methods=[method])
+                Route(one + path, answered(self._of(handler)), methods=[method])
                 for method, path, handler in (
                     ("GET", "", self.show),
                     ("PUT", "/files", self.receive),
@@ -79,7 +78,7 @@ class Api:
                 )
             ),
             Route(
-                "/api/objects/{id}/restore", _answered(self.restore), methods=["POST"]
+                "/api/objects/{id}/restore", answered(self.restore), methods=["POST"]
             ),
         ]
 
@@ -103,12 +102,12 @@ class Api:
         owner = self.owner(request)
         shown = [i for i in self._objects.all() if owner or i.id in known]
         return JSONResponse(
-            {"objects": [self._short(item) for item in shown], "owner": owner}
+            {"objects": [short(item) for item in shown], "owner": owner}
         )
 
     async def begin(self, request: Request) -> Response:
         """A new object; `{"example": true}`: with the photographs that ship."""
-        wanted = await _json(request)
+        wanted = await json_of(request)
         drafts = [i for i in self._objects.all() if i.state not in OVER]
         if len(drafts) >= self._limits.objects:
             raise Refused(409, "too_many_objects", most=self._limits.objects)
@@ -127,41 +126,7 @@ class Api:
     async def show(self, request: Request, item: Object) -> Response:
         """All of an object; what waits for the page goes on."""
         self._desk.attend(item)
-        shown = self._short(item) | {
-            "photographs": [_shown(item, p) for p in item.photographs],
-            "version": item.version,
-            "ready": item.found_version == item.version and not item.of_state("new"),
-            "found": item.found,
-            "problem": item.problem,
-            "mask": item.mask,
-            "options": item.options,
-            "error": item.error,
-            "findings": item.findings,
-            "seconds": item.seconds,
-        }
-        if item.state == "waiting":
-            shown["ahead"] = self._desk.queue.index(item)
-        if item.state == "running":
-            progress = self._desk.progress
-            shown |= {"phase": progress.phase, "share": progress.share}
-            shown["left"] = progress.seconds_left
-            shown["preview"] = (item.pictures / "preview.png").exists()
-        if item.state == "done":
-            shown["results"] = _results(item)
-            if self.owner(request):
-                shown["folder"] = item.target
-        return JSONResponse(shown)
-
-    def _short(self, item: Object) -> dict[str, Any]:
-        used = item.of_state("used")
-        return {
-            "id": item.id,
-            "name": item.name,
-            "state": item.state,
-            "time": item.asked or item.created,
-            "count": len(used),
-            "thumbnail": f"{used[0].file}.jpg" if used and used[0].facts else None,
-        }
+        return JSONResponse(whole(item, self._desk, owner=self.owner(request)))
 
     async def receive(self, request: Request, item: Object) -> Response:
         """One file, as it is."""
@@ -177,7 +142,7 @@ class Api:
         item.photographs.append(photo)  # its name is taken from now on
         photo.state = "receiving"
         try:
-            await _store(request, part, size, self._limits.stalled_s)
+            await store_body(request, part, size, self._limits.stalled_s)
             part.rename(item.inbox / file)
             photo.state = "new"
         except BaseException:
@@ -209,7 +174,7 @@ class Api:
     async def use(self, request: Request, item: Object) -> Response:
         """`{"file": name, "use": bool}`: uses a photograph, or sets it aside."""
         _require_draft(item)
-        wanted = await _json(request)
+        wanted = await json_of(request)
         photo = item.named(str(wanted.get("file")))
         if photo is None:
             raise Refused(404, "gone")
@@ -220,7 +185,7 @@ class Api:
     async def choose(self, request: Request, item: Object) -> Response:
         """The draft's name and options."""
         _require_draft(item)
-        wanted = await _json(request)
+        wanted = await json_of(request)
         before = item.options.get("transfer", "auto")
         item.name = str(wanted.get("name", item.name))[:100] or "object"
         item.options = dataclasses.asdict(_choices(wanted.get("options")))
@@ -233,8 +198,8 @@ class Api:
         """A picture made from the photographs."""
         name = request.path_params["name"]
         if name == "drawn.png":
-            return _file(item.drawn if item.drawn.exists() else None)
-        return _file(_in(item.pictures, name))
+            return file_answer(item.drawn if item.drawn.exists() else None)
+        return file_answer(file_in(item.pictures, name))
 
     async def draw(self, request: Request, item: Object) -> Response:
         """The mask that was drawn; ?kind=auto, drawn, whole or empty."""
@@ -242,7 +207,7 @@ class Api:
         kind = request.query_params.get("kind")
         if kind not in ("auto", "drawn", "whole", "empty"):
             raise Refused(422, "failed")
-        data = await _body(request, _MASK_BYTES)
+        data = await body_of(request, _MASK_BYTES)
         if kind != "auto":
             if not data.startswith(_PNG):
                 raise Refused(415, "failed")
@@ -255,7 +220,7 @@ class Api:
 
     async def cut(self, request: Request, item: Object) -> Response:
         """`{"box": [left, top, right, bottom]}`: the object in a box."""
-        left, top, right, bottom = map(float, (await _json(request))["box"])
+        left, top, right, bottom = map(float, (await json_of(request))["box"])
         try:
             await self._desk.cut(item, (left, top, right, bottom))
         except InputError:
@@ -264,13 +229,13 @@ class Api:
 
     async def piece(self, request: Request, item: Object) -> Response:
         """`{"point": [x, y]}`: takes or drops what is connected there."""
-        x, y = map(float, (await _json(request))["point"])
+        x, y = map(float, (await json_of(request))["point"])
         await self._desk.piece(item, (x, y))
         return JSONResponse({})
 
     async def estimate(self, request: Request, item: Object) -> Response:
         """`{"name": ..., "options": {...}}`: into the list of estimates."""
-        wanted = await _json(request)
+        wanted = await json_of(request)
         options = _choices(wanted.get("options"))
         self._desk.estimate(item, str(wanted.get("name", "")), options)
         return JSONResponse({})
@@ -310,79 +275,19 @@ class Api:
     async def result(self, request: Request, item: Object) -> Response:
         """A file of the results; ?save: to be stored."""
         name = request.path_params["name"]
-        path = _in(Path(item.target), name) if item.state == "done" else None
+        path = file_in(Path(item.target), name) if item.state == "done" else None
         headers = _VIEW if name.endswith(".html") else {}
         saved = f"{clean(item.name, longest=60)}-{name}"
-        return _file(path, saved if "save" in request.query_params else None, headers)
+        return file_answer(
+            path, saved if "save" in request.query_params else None, headers
+        )
 
     async def zip(self, request: Request, item: Object) -> Response:
         """All results in one file."""
         if item.state != "done":
             raise Refused(404, "gone")
-        path = await asyncio.to_thread(_zipped, item)
-        return _file(path, f"{Path(item.target).name}.zip")
-
-
-def _answered(
-    handler: Callable[[Request], Awaitable[Response]],
-) -> Callable[[Request], Awaitable[Response]]:
-    """Every failure is an answer of one line."""
-
-    async def answer(request: Request) -> Response:
-        try:
-            return await handler(request)
-        except Refused as refused:
-            return refused.answer
-        except ClientDisconnect:
-            return Response(status_code=400)
-        except InputError as error:
-            return JSONResponse({"error": str(error)}, 422)
-        except OSError as error:
-            code = "disk_full" if error.errno in _FULL else "not_stored"
-            return JSONResponse({"code": code, "values": {}}, 507)
-        except (ValueError, TypeError, KeyError):
-            return JSONResponse({"code": "failed", "values": {}}, 422)
-
-    return answer
-
-
-_FULL = (28, 122)  # ENOSPC, EDQUOT
-
-
-async def _body(request: Request, most: int) -> bytes:
-    data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > most:
-            raise Refused(413, "failed")
-    return data
-
-
-async def _json(request: Request) -> dict[str, Any]:
-    import json
-
-    wanted = json.loads(await _body(request, _JSON_BYTES) or b"{}")
-    if not isinstance(wanted, dict):
-        raise Refused(422, "failed")
-    return wanted
-
-
-async def _store(request: Request, path: Path, size: int, stalled_s: float) -> None:
-    """Writes a request's body to a file as it comes."""
-    stream = request.stream().__aiter__()
-    length = 0
-    with path.open("wb") as file:
-        while True:
-            try:
-                part = await asyncio.wait_for(anext(stream), stalled_s)
-            except StopAsyncIteration:
-                break
-            except TimeoutError:
-                raise Refused(408, "lost") from None
-            length += len(part)
-            file.write(part)
-    if length != size:
-        raise Refused(400, "lost")
+        path = await asyncio.to_thread(zipped, item)
+        return file_answer(path, f"{Path(item.target).name}.zip")
 
 
 def _require_draft(item: Object) -> None:
@@ -392,71 +297,13 @@ def _require_draft(item: Object) -> None:
 
 def _choices(wanted: Any) -> work.Choices:
     """Options as asked for; what is unknown or of another type is left out."""
-    default = work.Choices()
+    default = dataclasses.asdict(work.Choices())
     given = wanted if isinstance(wanted, dict) else {}
-    known = {name: value for name, value in dataclasses.asdict(default).items()}
-    for name, value in known.items():
-        if isinstance(given.get(name), type(value)):
-            known[name] = given[name]
-    if known["transfer"] not in ("auto", "linear", "srgb"):
-        known["transfer"] = "auto"
-    return work.Choices(**known)
-
-
-def _shown(item: Object, photo: Photograph) -> dict[str, Any]:
-    return {
-        "file": photo.file,
-        "name": photo.name,
-        "state": photo.state,
-        "why": photo.why,
-        "detail": photo.detail,
-        "picture": bool(photo.facts),
+    known: dict[str, Any] = {
+        name: given[name]
+        for name, value in default.items()
+        if isinstance(given.get(name), type(value))
     }
-
-
-def _results(item: Object) -> list[dict[str, Any]]:
-    """The files that the record names, and itself; empty if they are gone."""
-    target = Path(item.target)
-    try:
-        return [
-            {"name": file.name, "bytes": file.stat().st_size}
-            for file in sorted(target.iterdir())
-            if file.is_file() and not file.name.startswith(".")
-        ]
-    except OSError:
-        return []
-
-
-def _zipped(item: Object) -> Path:
-    """All results in one file, made when first asked for."""
-    target = Path(item.target)
-    path = item.folder / "results.zip"
-    made = target / RECORD
-    if not path.exists() or path.stat().st_mtime < made.stat().st_mtime:
-        part = path.with_suffix(f".{time.monotonic_ns()}.part")
-        try:
-            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as z:
-                for file in sorted(target.iterdir()):
-                    z.write(file, f"{target.name}/{file.name}")
-            part.rename(path)
-        finally:
-            part.unlink(missing_ok=True)
-    return path
-
-
-def _in(folder: Path, name: str) -> Path | None:
-    """A plain file of a folder; None where there is none of that name."""
-    try:
-        entries = [e for e in os.scandir(folder) if e.name == name]
-    except OSError:
-        return None
-    plain = [e for e in entries if e.is_file(follow_symlinks=False)]
-    return Path(plain[0].path) if plain else None
-
-
-def _file(
-    path: Path | None, name: str | None = None, headers: dict[str, str] | None = None
-) -> Response:
-    if path is None:
-        raise Refused(404, "gone")
-    return FileResponse(path, filename=name, headers=headers)
+    if known.get("transfer") not in ("linear", "srgb"):
+        known.pop("transfer", None)
+    return work.Choices(**known)

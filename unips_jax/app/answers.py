@@ -1,0 +1,124 @@
+"""Requests read within bounds, files, and every failure as an answer of one line."""
+
+import asyncio
+import json
+import os
+import time
+import zipfile
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, JSONResponse, Response
+
+from unips_jax.app.objects import Object
+from unips_jax.errors import InputError
+from unips_jax.io.results import RECORD
+
+_JSON_BYTES = 100_000
+_FULL = (28, 122)  # ENOSPC, EDQUOT
+
+
+class Refused(Exception):
+    """A request that can't be done; `code` is one of `strings.json`."""
+
+    def __init__(self, status: int, code: str, **values: Any) -> None:
+        """Values are for the gaps of the code's text."""
+        super().__init__(code)
+        self.answer = JSONResponse({"code": code, "values": values}, status)
+
+
+def answered(
+    handler: Callable[[Request], Awaitable[Response]],
+) -> Callable[[Request], Awaitable[Response]]:
+    """Every failure is an answer of one line."""
+
+    async def answer(request: Request) -> Response:
+        try:
+            return await handler(request)
+        except Refused as refused:
+            return refused.answer
+        except ClientDisconnect:
+            return Response(status_code=400)
+        except InputError as error:
+            return JSONResponse({"error": str(error)}, 422)
+        except OSError as error:
+            code = "disk_full" if error.errno in _FULL else "not_stored"
+            return JSONResponse({"code": code, "values": {}}, 507)
+        except (ValueError, TypeError, KeyError):
+            return JSONResponse({"code": "failed", "values": {}}, 422)
+
+    return answer
+
+
+async def body_of(request: Request, most: int) -> bytes:
+    """A request's body of at most this many bytes."""
+    data = b""
+    async for part in request.stream():
+        data += part
+        if len(data) > most:
+            raise Refused(413, "failed")
+    return data
+
+
+async def json_of(request: Request) -> dict[str, Any]:
+    """The JSON object that a request holds; empty if it holds nothing."""
+    wanted = json.loads(await body_of(request, _JSON_BYTES) or b"{}")
+    if not isinstance(wanted, dict):
+        raise Refused(422, "failed")
+    return wanted
+
+
+async def store_body(request: Request, path: Path, size: int, stalled_s: float) -> None:
+    """Writes a request's body to a file as it comes."""
+    stream = request.stream().__aiter__()
+    length = 0
+    with path.open("wb") as file:
+        while True:
+            try:
+                part = await asyncio.wait_for(anext(stream), stalled_s)
+            except StopAsyncIteration:
+                break
+            except TimeoutError:
+                raise Refused(408, "lost") from None
+            length += len(part)
+            file.write(part)
+    if length != size:
+        raise Refused(400, "lost")
+
+
+def zipped(item: Object) -> Path:
+    """All results in one file, made when first asked for."""
+    target = Path(item.target)
+    path = item.folder / "results.zip"
+    made = target / RECORD
+    if not path.exists() or path.stat().st_mtime < made.stat().st_mtime:
+        part = path.with_suffix(f".{time.monotonic_ns()}.part")
+        try:
+            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as z:
+                for file in sorted(target.iterdir()):
+                    z.write(file, f"{target.name}/{file.name}")
+            part.rename(path)
+        finally:
+            part.unlink(missing_ok=True)
+    return path
+
+
+def file_in(folder: Path, name: str) -> Path | None:
+    """A plain file of a folder; None where there is none of that name."""
+    try:
+        entries = [e for e in os.scandir(folder) if e.name == name]
+    except OSError:
+        return None
+    plain = [e for e in entries if e.is_file(follow_symlinks=False)]
+    return Path(plain[0].path) if plain else None
+
+
+def file_answer(
+    path: Path | None, name: str | None = None, headers: dict[str, str] | None = None
+) -> Response:
+    """A file, to be saved if it has a name."""
+    if path is None:
+        raise Refused(404, "gone")
+    return FileResponse(path, filename=name, headers=headers)

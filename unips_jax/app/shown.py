@@ -1,0 +1,72 @@
+"""What the page is told of an object, as JSON."""
+
+from pathlib import Path
+from typing import Any
+
+from unips_jax.app.desk import Desk
+from unips_jax.app.objects import Object, Photograph
+
+
+def short(item: Object) -> dict[str, Any]:
+    """For the list of objects."""
+    used = item.of_state("used")
+    return {
+        "id": item.id,
+        "name": item.name,
+        "state": item.state,
+        "time": item.asked or item.created,
+        "count": len(used),
+        "thumbnail": f"{used[0].file}.jpg" if used and used[0].facts else None,
+    }
+
+
+def whole(item: Object, desk: Desk, *, owner: bool) -> dict[str, Any]:
+    """For its own page; the folder on disk is for the owner only."""
+    shown = short(item) | {
+        "photographs": [_photograph(photo) for photo in item.photographs],
+        "version": item.version,
+        "ready": item.found_version == item.version and not item.of_state("new"),
+        "found": item.found,
+        "problem": item.problem,
+        "mask": item.mask,
+        "options": item.options,
+        "error": item.error,
+        "findings": item.findings,
+        "seconds": item.seconds,
+    }
+    if item.state == "waiting":
+        shown["ahead"] = desk.queue.index(item)
+    if item.state == "running":
+        progress = desk.progress
+        shown |= {"phase": progress.phase, "share": progress.share}
+        shown["left"] = progress.seconds_left
+        shown["preview"] = (item.pictures / "preview.png").exists()
+    if item.state == "done":
+        shown["results"] = _results(item)
+        if owner:
+            shown["folder"] = item.target
+    return shown
+
+
+def _photograph(photo: Photograph) -> dict[str, Any]:
+    return {
+        "file": photo.file,
+        "name": photo.name,
+        "state": photo.state,
+        "why": photo.why,
+        "detail": photo.detail,
+        "picture": bool(photo.facts),
+    }
+
+
+def _results(item: Object) -> list[dict[str, Any]]:
+    """The files that the record names, and itself; empty if they are gone."""
+    target = Path(item.target)
+    try:
+        return [
+            {"name": file.name, "bytes": file.stat().st_size}
+            for file in sorted(target.iterdir())
+            if file.is_file() and not file.name.startswith(".")
+        ]
+    except OSError:
+        return []
