@@ -91,6 +91,46 @@ def test_a_moving_pool_of_light_and_highlights_are_no_movement():
     assert not find_motion(images, mask).moved.any()
 
 
+def sphere(seed, gloss):
+    """Photographs of a sphere without any texture, on black, one lamp each."""
+    rng = np.random.default_rng(seed)
+    height, width = 120, 140
+    y, x = np.mgrid[:height, :width]
+    radius = rng.uniform(0.3, 0.42) * height
+    u = (x - width * rng.uniform(0.45, 0.55)) / radius
+    v = -(y - height * rng.uniform(0.45, 0.55)) / radius
+    mask = u * u + v * v < 1
+    normals = np.stack([u, v, np.sqrt(np.maximum(1 - u * u - v * v, 0))], axis=-1)
+    normals *= mask[..., None]
+    images = []
+    for light in lights(8, rng.uniform(0, 360, 8), rng.uniform(30, 60)):
+        half = light + [0, 0, 1]
+        shine = np.maximum(normals @ (half / np.linalg.norm(half)), 0) ** 40
+        light = np.maximum(normals @ light, 0) + gloss * shine
+        noise = 0.005 * rng.standard_normal(mask.shape) * np.sqrt(light + 0.01)
+        levels = np.rint(65535 * np.clip(0.8 * light + noise, 0, 1))
+        images.append(np.repeat(levels[..., None], 3, axis=-1).astype(np.uint16))
+    return np.stack(images), mask
+
+
+@pytest.mark.parametrize("seed", [0, 5, 28])
+def test_shading_is_not_movement(seed):
+    images, mask = sphere(seed, gloss=0.5 * (seed % 2))
+    assert not find_motion(images, mask).moved.any()
+    assert not find_motion(images).moved.any()
+
+
+@pytest.mark.parametrize("seed", [53, 61])
+def test_shifts_of_three_pixels(seed):
+    images, mask = photographs(seed, size=(150, 170), **STRIPES)
+    angle = 40 * seed
+    right, down = 3 * np.cos(angle), 3 * np.sin(angle)
+    images[seed % 8] = moved(images[seed % 8], right, down)
+    motion = find_motion(images, mask)
+    assert np.flatnonzero(motion.moved).tolist() == [seed % 8]
+    np.testing.assert_allclose(motion.offsets[seed % 8], [right, down], atol=0.7)
+
+
 def test_registration_undoes_shifts_and_turns():
     still, _ = photographs(8, size=(360, 440), **STRIPES)
     images = still.copy()

@@ -1,8 +1,12 @@
 """Photographs in one file, and a frame without the lamp."""
 
 import json
+import random
 import re
 import struct
+import subprocess
+import sys
+import tempfile
 import time
 
 import cv2
@@ -241,3 +245,35 @@ def test_dark_frames_that_do_not_fit(folder):
     for name, said in (("small", "expected a dark frame as"), ("white", "less light")):
         with pytest.raises(InputError, match=rf"{name}\.png: .*{said}"):
             without_ambient(capture, read_image_file(folder / f"{name}.png"), names)
+
+
+UNPACKING = """
+import sys
+from pathlib import Path
+from unips_jax.capture.unpack import unpacked
+while True:
+    with unpacked(Path(sys.argv[1])) as folder:
+        print(folder, flush=True)
+"""
+
+
+def test_killed_while_it_unpacks_nothing_stays(tmp_path, monkeypatch):
+    place = tmp_path / "tmp"
+    place.mkdir()
+    monkeypatch.setenv("TMPDIR", str(place))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, np.zeros((40, 60, 80), np.uint8), photometric="minisblack")
+    tifffile.imwrite(path, np.zeros((60, 80), np.uint8), append=True)
+    moments = random.Random(5)
+    for _ in range(5):
+        command = [sys.executable, "-c", UNPACKING, str(path)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+            process.stdout.readline()
+            time.sleep(moments.uniform(0, 0.05))
+            process.kill()
+    assert list(place.iterdir())
+    with unpacked(path) as folder:
+        assert [p for p in place.iterdir() if p.is_dir()] == [folder.parent]
+        assert folder.parent.stat().st_mode & 0o77 == 0  # nobody else's photographs
+    assert not list(place.iterdir())

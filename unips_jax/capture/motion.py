@@ -5,7 +5,8 @@ up to its sign. So what is compared is the doubled angle of the gradient of log 
 with edges of any contrast alike (orientation correlation: Fitch et al., BMVC 2002), by
 phase correlation of pairs. Places are those that most pairs agree upon (least absolute
 deviations). A highlight moves with the lamp, too: a shift counts only where most parts
-of the picture, each with one vote, fit better with it than without.
+of the picture, each with one vote, fit better with it than without, and where light does
+not explain as much (`shading`).
 """
 
 import dataclasses
@@ -13,6 +14,7 @@ import dataclasses
 import cv2
 import numpy as np
 
+from unips_jax.capture.shading import SIDE, light_of, shift_of
 from unips_jax.io.masks import mask_box
 
 _SIDE = 384  # pixels of the longer side, where movement is sought
@@ -28,6 +30,8 @@ VOTES = 0.8
 """The share of a picture's parts from which on a shift is believed."""
 
 _LEAST = 1.5  # pixels
+_MODELLED = 6  # photographs, from which on light is taken into account
+_AGREES = 4.0  # spreads of the parts of a picture
 _SHARE = 0.005  # of the longer side
 
 
@@ -84,7 +88,30 @@ def find_motion(images: np.ndarray, mask: np.ndarray | None = None) -> Motion:
     # Nothing is finer than what pairs agree upon, a tenth of a pixel.
     offsets[np.hypot(*offsets.T) < 0.1] = 0
     votes = _votes(fields, weight, offsets)
-    return Motion(offsets / scale, votes, reference, limit)
+    motion = Motion(offsets / scale, votes, reference, limit)
+    if count < _MODELLED or not motion.moved.any():
+        return motion
+    return _unexplained(motion, images[:, rows, columns])
+
+
+def _unexplained(motion: Motion, images: np.ndarray) -> Motion:
+    """Takes back what a change of light explains; images `[N, h, w, 3]`, the object."""
+    scale = min(1.0, SIDE / max(images.shape[1:3]))
+    stack = np.stack([light_of(image, scale) for image in images])
+    aligned = stack.copy()
+    for index in np.flatnonzero(motion.moved):
+        matrix = np.eye(2, 3)
+        matrix[:, 2] = scale * motion.offsets[index]
+        aligned[index] = moved_back(stack[index], matrix, cv2.INTER_LINEAR)
+    votes = motion.votes.copy()
+    for index in np.flatnonzero(motion.moved):
+        others = np.delete(aligned, index, axis=0)
+        starts = [np.zeros(2), scale * motion.offsets[index]]
+        shift = shift_of(stack[index], others, starts)
+        missed = np.hypot(*(shift.offset / scale - motion.offsets[index]))
+        if missed >= motion.limit or shift.score < _AGREES:
+            votes[index] = 0
+    return dataclasses.replace(motion, votes=votes)
 
 
 def grey_of(image: np.ndarray, scale: float) -> np.ndarray:

@@ -21,6 +21,7 @@ from unips_jax.io.formats.raster import marked_srgb
 from unips_jax.io.formats.tiff import count_pages
 from unips_jax.io.images import MAX_PIXELS, encode_image
 from unips_jax.io.naming import VIDEO_SUFFIXES
+from unips_jax.io.results import clear_leftovers, workspace
 
 KEYFRAMES = 12
 """Frames that are taken of a video by default."""
@@ -64,8 +65,10 @@ def unpacked(
     Raises:
         InputError: if it cannot be read, or holds too little.
     """
-    with tempfile.TemporaryDirectory(prefix="unips-") as place:
-        folder = Path(place) / path.stem
+    temporary = Path(tempfile.gettempdir())
+    clear_leftovers(temporary)
+    with workspace(temporary) as place:
+        folder = place / path.stem
         folder.mkdir()
         try:
             if path.suffix.lower() in VIDEO_SUFFIXES:
@@ -95,7 +98,7 @@ def _unpack_pages(path: Path, folder: Path, max_pixels: int) -> None:
                     iccprofile=icc,
                     metadata=None,
                 )
-    except InputError:
+    except (InputError, OSError):
         raise
     except Exception as error:  # the library raises many kinds
         raise InputError(

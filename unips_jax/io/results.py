@@ -139,7 +139,7 @@ def appearing_at_once(target: Path, *, record: str = RECORD) -> Iterator[Path]:
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         clear_leftovers(place.parent)
-        with _workspace(place.parent) as work:
+        with workspace(place.parent) as work:
             new = work / "new"
             new.mkdir()
             yield new
@@ -192,15 +192,15 @@ def _shortened(path: Path) -> str:
 
 
 @contextlib.contextmanager
-def _workspace(parent: Path) -> Iterator[Path]:
-    """A folder that nobody clears while this process lives."""
+def workspace(parent: Path) -> Iterator[Path]:
+    """A folder of ours alone that nobody clears while this process lives."""
     lock = parent / f"{_WORK}{secrets.token_hex(8)}.lock"
     with contextlib.ExitStack() as held:
         # Without locks, nobody else clears it either.
         with contextlib.suppress(InputError):
             held.enter_context(claim(lock, wait=True))
         try:
-            lock.with_suffix("").mkdir()
+            lock.with_suffix("").mkdir(0o700)
             yield lock.with_suffix("")
         finally:
             _dissolve(lock)
