@@ -5,8 +5,8 @@ up to its sign. So what is compared is the doubled angle of the gradient of log 
 with edges of any contrast alike (orientation correlation: Fitch et al., BMVC 2002), by
 phase correlation of pairs. Places are those that most pairs agree upon (least absolute
 deviations). A highlight moves with the lamp, too: a shift counts only where most parts
-of the picture, each with one vote, fit better with it than without, and where light does
-not explain as much (`shading`).
+of the picture, each with one vote, fit better with it than without, and where light
+does not explain as much (`shading`).
 """
 
 import dataclasses
