@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from unips_jax.io.color import as_linear
+from unips_jax.io.color import Transfer, as_linear
 
 SIDE = 256
 """Pixels of the longer side, where shifts are measured."""
@@ -41,7 +41,7 @@ def light_of(image: np.ndarray, scale: float) -> np.ndarray:
         image = cv2.resize(
             image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
         )
-    transfer = "srgb" if image.dtype == np.uint8 else "linear"
+    transfer: Transfer = "srgb" if image.dtype == np.uint8 else "linear"
     return cv2.GaussianBlur(as_linear(image, transfer).mean(axis=-1), (0, 0), 1)
 
 

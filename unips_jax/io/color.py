@@ -111,9 +111,9 @@ def encoding_of(
     if icc:  # by tables, as of printers and of sRGB's own fourth version
         return Encoding("srgb", "colour profile in the file, taken as sRGB")
     if code:
-        name, curve_of = CURVES[code]
+        title, curve_of = CURVES[code]
         curve = np.clip(curve_of(np.linspace(0, 1, _SAMPLES)), 0, 1)
-        return _encoding(np.dtype(dtype), curve, f"{name} code in the file", np.uint16)
+        return _encoding(np.dtype(dtype), curve, f"{title} code in the file", np.uint16)
     if srgb:
         return Encoding("srgb", "sRGB tag in the file")
     if gamma > 0:
@@ -173,7 +173,7 @@ def _tone_curve(tag: bytes) -> np.ndarray:
 
 
 def _encoding(
-    dtype: np.dtype, curve: np.ndarray, rule: str, wide: DTypeLike = None
+    dtype: np.dtype, curve: np.ndarray, rule: str, wide: DTypeLike | None = None
 ) -> Encoding:
     x = np.linspace(0, 1, _SAMPLES, dtype=np.float32)
     if np.abs(curve - x).max() < _ALIKE:
