@@ -2,7 +2,9 @@
 
 NORMALS is a normal map (PNG, EXR, TIFF), an array (.npy) or a folder of results of
 `unips estimate`. OUT receives depth.exr (float), depth.png and height.png (16 bit),
-surface.json, which states units and scales, and on request mesh.ply, .obj or .glb.
+surface.json, which states units and scales, and on request mesh.ply, .obj or .glb, or
+files for a purpose (--export): NAME.glb with a material for Blender and games, NAME.stl
+on a base, to print; NAME.zip with all of it and a text on each file.
 Depth grows away from the viewer; normals tell it up to an offset (orthographic) or a
 scale (perspective) of each connected part of the mask.
 
@@ -14,7 +16,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -26,8 +28,9 @@ from unips_jax.io.masks import read_mask
 from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap, read_numbers
 from unips_jax.io.record import print_line
-from unips_jax.io.results import appearing_at_once, check_target
+from unips_jax.io.results import appearing_at_once, check_target, results_of
 from unips_jax.surface.depth_files import read_depth
+from unips_jax.surface.exports import Export, Scale, archive, blender_model, printable
 from unips_jax.surface.mesh import check_mesh_file
 from unips_jax.surface.outputs import (
     MeshFormat,
@@ -65,6 +68,7 @@ class Options:
         unit: of the scale, such as mm.
         mesh: also write a mesh.
         max_faces: simplify the mesh to this many triangles.
+        export: also files for a purpose, one or more of blender, print, archive.
         cut: leave out triangles that range over more than this many pixels in depth.
     """
 
@@ -83,6 +87,7 @@ class Options:
     mesh: MeshFormat | None = None
     max_faces: int | None = None
     cut: float = 20.0
+    export: tuple[Export, ...] = ()
 
 
 @command
@@ -134,18 +139,62 @@ def main(argv: Sequence[str] | None = None) -> None:
             colors=colors,
             progress=lambda share: report(round(100 * share), 100),
         )
+        exported = _exports(options, place, normals, facts, colors)
         names = sorted(file.name for file in place.iterdir())
         record = {
             "normals": str(options.normals),
             "mended": examined.mended,
             "warnings": examined.doubts,
             **facts,
+            "exports": exported,
             "files": names,
         }
         text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
         (place / RECORD).write_bytes(text.encode(errors="backslashreplace"))
     print_surface(facts)
     print_line("wrote", f"{options.output}/: {', '.join([*names, RECORD])}")
+
+
+def _exports(
+    options: Options,
+    place: Path,
+    normals: np.ndarray,
+    facts: dict[str, Any],
+    colors: np.ndarray | None,
+) -> dict[str, Any]:
+    """Writes what `--export` asks for; gives what the record states of it."""
+    if not options.export:
+        return {}
+    depth = read_depth(place / "depth.exr")
+    name = options.normals.resolve().stem
+    scale = Scale(facts["focal_px"], facts["scale"], facts["unit"])
+    made: dict[str, Any] = {}
+    if "blender" in options.export:
+        base_color = options.normals / "base_color.png"
+        if base_color.is_file():
+            pixels = read_image_file(base_color).pixels
+            _check_size(base_color, pixels.shape[:2], normals.shape[:2])
+            colors = photograph_colors(pixels, "srgb")
+        data, made["blender"] = blender_model(
+            depth,
+            normals,
+            scale,
+            name=name,
+            colors=colors,
+            max_faces=options.max_faces,
+        )
+        (place / f"{name}.glb").write_bytes(data)
+    if "print" in options.export:
+        data, made["print"] = printable(depth, scale)
+        (place / f"{name}.stl").write_bytes(data)
+    if "archive" in options.export:
+        files = {file.name: file for file in results_of(options.normals)}
+        files |= {file.name: file for file in place.iterdir()}
+        (place / f"{name}.zip").write_bytes(
+            archive(name, [files[key] for key in sorted(files)])
+        )
+        made["archive"] = sorted(files)
+    return made
 
 
 def _check(options: Options) -> None:

@@ -89,6 +89,14 @@ def whole_record(folder: Path) -> dict[str, Any]:
     return record
 
 
+def results_of(folder: Path) -> list[Path]:
+    """The files of a folder of results that its record names; none without a record."""
+    if not (folder / RECORD).is_file():
+        return [folder / "normals.npy"] if folder.is_dir() else [folder]
+    names = whole_record(folder)["files"]
+    return [folder / name for name in [*names, RECORD]]
+
+
 def check_target(target: Path, source: Path, *, record: str = RECORD) -> None:
     """Refuses what cannot become a folder of results, before there are any.
 

@@ -17,7 +17,7 @@ from unips_jax.surface.gltf import GltfMesh, encode_glb
 
 SUFFIXES = (".ply", ".obj", ".glb")
 CUT = 20.0
-_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
 
 class Mesh(NamedTuple):
@@ -109,7 +109,7 @@ def write_mesh(
             f"{path}: expected a surface of more than single pixels, got no triangle; "
             "give a larger mask or a larger --cut"
         )
-    scale = _METRES.get(unit, 1.0) if path.suffix == ".glb" else 1.0
+    scale = METRES.get(unit, 1.0) if path.suffix == ".glb" else 1.0
     vertices, faces = mesh.vertices * np.float32(scale), mesh.faces
     painted = None
     if colors is not None:

@@ -1,0 +1,116 @@
+"""Files for a purpose, opened again by trimesh."""
+
+import io
+import json
+import zipfile
+
+import cv2
+import numpy as np
+import pytest
+from gltf_reader import read_glb
+from plain_objects import hemisphere
+
+from unips_jax.cli.surface import main as surface
+from unips_jax.surface.exports import Scale, blender_model, printable
+
+trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")
+
+
+def bumpy(size=64):
+    """A dome with fine ripples: depth, normals, colours."""
+    y, x = np.mgrid[:size, :size] - (size - 1) / 2
+    height = 12 * np.cos(np.hypot(x, y) / 30) + 0.6 * np.sin(x) * np.cos(y / 2)
+    down, right = np.gradient(height)
+    normals = np.stack([-right, down, np.ones_like(x)], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    inside = np.hypot(x, y) < 0.45 * size
+    colors = np.random.default_rng(0).integers(1, 256, (size, size, 3), np.uint8)
+    depth = np.where(inside, -height, np.nan).astype(np.float32)
+    return depth, (normals * inside[..., None]).astype(np.float32), colors
+
+
+def test_a_model_gives_back_every_pixels_normal(tmp_path):
+    depth, normals, colors = bumpy()
+    data, facts = blender_model(depth, normals, name="dome", colors=colors)
+    path = tmp_path / "dome.glb"
+    path.write_bytes(data)
+    read = trimesh.load(path, force="mesh", process=False)
+    assert len(read.faces) == facts["faces"] > 500
+    assert read.extents.max() == pytest.approx(1) == facts["longest_side"]
+    assert facts["size"] == "scale unknown: the longest side is 1 m"
+    material = read.visual.material
+    np.testing.assert_array_equal(
+        np.asarray(material.baseColorTexture.convert("RGB")), colors
+    )
+    # As a renderer does: the frame between vertices, and the map's normal in it.
+    content, accessor = read_glb(path)
+    names = content["meshes"][0]["primitives"][0]["attributes"]
+    n, t = accessor(names["NORMAL"]), accessor(names["TANGENT"])
+    place = accessor(names["TEXCOORD_0"]) * 64 - 0.5
+    column, row = np.rint(place).astype(int).T
+    texture = np.asarray(material.normalTexture.convert("RGB")) / 127.5 - 1
+    given = texture[row, column]
+    b = np.cross(n, t[:, :3]) * t[:, 3:]
+    found = given[:, :1] * t[:, :3] + given[:, 1:2] * b + given[:, 2:] * n
+    cosine = (found * normals[row, column]).sum(-1) / np.linalg.norm(found, axis=-1)
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 1
+    np.testing.assert_allclose(np.linalg.norm(n, axis=-1), 1, atol=1e-5)
+    np.testing.assert_allclose((n * t[:, :3]).sum(-1), 0, atol=1e-5)
+
+
+def test_a_known_scale_is_kept(tmp_path):
+    depth, normals, _ = bumpy()
+    data, facts = blender_model(
+        0.5 * depth, normals, Scale(None, 0.5, "mm"), name="dome"
+    )
+    read = trimesh.load(io.BytesIO(data), file_type="glb", force="mesh")
+    assert read.extents.max() == pytest.approx(0.5e-3 * 56, rel=0.05)
+    assert facts["size"] == "from the scale given, in mm"
+    solid, facts = printable(0.5 * depth, Scale(None, 0.5, "mm"))
+    read = trimesh.load(io.BytesIO(solid), file_type="stl")
+    assert read.extents.max() == pytest.approx(0.5 * 57, rel=0.05)
+
+
+@pytest.mark.parametrize("focal", [None, 90.0])
+def test_a_print_is_watertight_and_stands_on_a_base(focal):
+    depth, _, _ = bumpy()
+    depth += 100 if focal else 0
+    depth[20:24, 20:24] = np.nan  # a hole
+    depth[30, 30] = depth[31, 31] = np.nan  # that meet in a corner
+    depth[:4, :4] = 3.0  # another part
+    data, facts = printable(depth, Scale(focal))
+    read = trimesh.load(io.BytesIO(data), file_type="stl")
+    assert read.is_watertight and read.is_winding_consistent
+    assert read.volume > 0 and read.body_count == 1
+    assert read.extents.max() == pytest.approx(100, rel=1e-5)
+    assert len(read.faces) == facts["faces"]
+    base = read.vertices[:, 2] < read.bounds[0, 2] + 1e-4
+    assert base.sum() == len(read.vertices) / 2
+
+
+def test_the_command_writes_all_three(tmp_path):
+    folder = tmp_path / "cat"
+    folder.mkdir()
+    np.save(folder / "normals.npy", hemisphere(48)[0])
+    cv2.imwrite(str(folder / "base_color.png"), np.full((48, 48, 3), 99, np.uint8))
+    out = tmp_path / "out"
+    arguments = [str(folder), "-o", str(out), "--export", "blender", "print", "archive"]
+    assert surface(arguments) == 0
+    model = trimesh.load(out / "cat.glb", force="mesh")
+    assert model.visual.material.baseColorTexture.getpixel((24, 24))[0] == 99
+    assert trimesh.load(out / "cat.stl").is_watertight
+    with zipfile.ZipFile(out / "cat.zip") as packed:
+        names = set(packed.namelist())
+        text = packed.read("cat/cat-README.txt").decode()
+    wanted = {
+        "cat-normals.npy",
+        "cat-depth.exr",
+        "cat-height.png",
+        "cat.glb",
+        "cat.stl",
+    }
+    assert {f"cat/{name}" for name in wanted} <= names
+    assert "cat-height.png: height for displacement" in text
+    assert "cat.stl: the surface as a solid on a base" in text
+    record = json.loads((out / "surface.json").read_text())
+    assert record["exports"]["print"]["longest_side"] == pytest.approx(100)
