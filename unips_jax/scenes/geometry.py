@@ -25,7 +25,8 @@ from unips_jax.scenes.grids import pick, pixel_grid, spread
 from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.poses import draw_camera, pose_and_frame
 from unips_jax.scenes.sdf import Shape, detail
-from unips_jax.scenes.shapes import as_mesh, draw_detail, draw_shape, is_flat
+from unips_jax.scenes.shapes import as_mesh, draw_detail, draw_shape
+from unips_jax.scenes.slots import is_flat
 from unips_jax.scenes.tracing import (
     Camera,
     along,

@@ -11,7 +11,7 @@ from unips_jax.scenes.draws import Draws, rotation_about
 from unips_jax.scenes.grids import pixel_grid
 from unips_jax.scenes.noise import normalize
 from unips_jax.scenes.sdf import Shape, without_cuts
-from unips_jax.scenes.shapes import is_flat
+from unips_jax.scenes.slots import is_flat
 from unips_jax.scenes.tracing import (
     Camera,
     along,
