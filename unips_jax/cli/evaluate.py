@@ -86,7 +86,7 @@ class Options:
     seeds: Annotated[
         tuple[int, ...], tyro.conf.arg(metavar="N [N ...]", aliases=["--seed"])
     ] = (0,)
-    canonical_size: _Several[int] = ()
+    canonical_size: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N ...]")] = ()
     uniform_contexts: bool = False
     no_pictures: bool = False
     write_inputs: bool = False
