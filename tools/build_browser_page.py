@@ -13,15 +13,19 @@ import io
 import shutil
 import tarfile
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from packages import fetch
 
 from unips_jax.console import command
 from unips_jax.errors import InputError
 from unips_jax.export.files import write_export
 from unips_jax.io.results import appearing_at_once, check_target
+from unips_jax.viewer.page import page
+from unips_jax.viewer.result import Result
 from unips_jax.weights import load_weights
 
 SOURCE = Path(__file__).parent / "browser"
@@ -33,7 +37,7 @@ class Package(NamedTuple):
 
     Attributes:
         name: in the registry.
-        version: likewise.
+        version: in the registry.
         sha512: of the archive.
         folder: in the archive, whose files are taken.
         files: names in it; all scripts if empty.
@@ -56,10 +60,9 @@ PACKAGES = (
         "590a5cdc57bb2f35ce2b298de32f4d956fb42644c0ecd528a0a91e025c07ca61",
         "dist",
         (
-            *("ort.wasm.bundle.min.mjs", "ort-wasm-simd-threaded.mjs"),
-            *("ort-wasm-simd-threaded.wasm", "ort.webgpu.bundle.min.mjs"),
-            "ort-wasm-simd-threaded.asyncify.mjs",
-            "ort-wasm-simd-threaded.asyncify.wasm",
+            "ort.wasm.bundle.min.mjs",
+            "ort-wasm-simd-threaded.mjs",
+            "ort-wasm-simd-threaded.wasm",
         ),
         source="github.com/microsoft/onnxruntime",
     ),
@@ -121,6 +124,13 @@ def unpack(package: Package, archive: bytes, target: Path) -> None:
         raise InputError(f"{package.name}: expected {min(wanted)}, found none")
 
 
+def viewer_template() -> str:
+    """The viewer's page of a tiny result, called TITLE: the page puts its own in."""
+    normals = np.zeros((3, 3, 3), np.float32)
+    normals[1, 1] = 0, 0, 1
+    return page(Result("TITLE", normals))
+
+
 @command
 def main(argv: Sequence[str] | None = None) -> None:
     """Builds the page."""
@@ -143,6 +153,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         (place / "vendor" / "LICENSES.md").write_text(
             "What is here, unchanged, under the MIT licence:\n\n"
             + "".join(f"- {p.name} {p.version}, https://{p.source}\n" for p in PACKAGES)
+            + "\n`network/mask.onnx` is U2-Net's small version (Apache-2.0), "
+            "https://github.com/xuebinqin/U-2-Net, trained on DUTS.\n"
         )
         write_export(
             place / "network",
@@ -151,6 +163,9 @@ def main(argv: Sequence[str] | None = None) -> None:
             name=Path(arguments.weights).stem,
             half=True,
         )
+        mask = resources.files("unips_jax") / "assets" / "salient_object.onnx"
+        (place / "network" / "mask.onnx").write_bytes(mask.read_bytes())
+        (place / "viewer.html").write_text(viewer_template(), "utf-8")
         size = sum(file.stat().st_size for file in place.rglob("*") if file.is_file())
     print(f"wrote {arguments.output}/: {size / 1e6:.0f} MB")
 

@@ -13,9 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+from plain_objects import HARD, photographs
 from small_networks import SMALL_OURS, lively_network
 
 from unips_jax import estimate_photographs, load_weights, read_photographs
+from unips_jax.capture.masks import suggest_mask
 from unips_jax.io.images import read_image, write_image
 from unips_jax.io.normals import read_normals
 from unips_jax.metrics import angular_error_deg
@@ -66,6 +69,10 @@ def opened(page):
         server.shutdown()
 
 
+def overlap(a, b):
+    return (a & b).sum() / (a | b).sum()
+
+
 def until(driver, condition, seconds):
     end = time.monotonic() + seconds
     while not driver.execute_script(condition):
@@ -88,6 +95,8 @@ def choose(driver, files):
 
 def normals_by_page(driver, folder, seconds=240):
     assert "photographs of" in choose(driver, sorted(folder.iterdir()))
+    if not (folder / "mask.png").exists():
+        driver.find_element("id", "whole").click()
     driver.execute_script("document.getElementById('side').value = '0'")
     driver.find_element("id", "estimate").click()
     until(driver, "return !document.getElementById('download').hidden", seconds)
@@ -148,6 +157,137 @@ def test_page(small, tmp_path):
         refused = choose(driver, [tmp_path / "one.jpg", tmp_path / "eight" / "p0.png"])
         assert "one.jpg: expected" in refused or "p0.png: expected" in refused
         assert not [text for text in messages(driver) if "Error" in text]
+
+
+def mask_of(driver, shape):
+    values = driver.execute_script("return [...unips.state.mask]")
+    return np.array(values, bool).reshape(shape)
+
+
+def drag(driver, tool, *places):
+    """Chooses a tool and draws with it, between places in pixels of the photograph."""
+    driver.execute_script(
+        """
+        const [tool, places] = arguments;
+        const button = document.querySelector(`[data-tool=${tool}]`);
+        if (button.getAttribute("aria-pressed") !== "true") button.click();
+        const canvas = document.getElementById("photograph");
+        const box = canvas.getBoundingClientRect();
+        const send = (kind, [x, y]) => canvas.dispatchEvent(new PointerEvent(kind, {
+          pointerId: 1, isPrimary: true, button: 0, bubbles: true, cancelable: true,
+          clientX: box.left + x * box.width / canvas.width,
+          clientY: box.top + y * box.height / canvas.height }));
+        canvas.setPointerCapture = () => {};
+        send("pointerdown", places[0]);
+        for (const place of places.slice(1)) send("pointermove", place);
+        send("pointerup", places.at(-1));
+        """,
+        tool,
+        [[int(x), int(y)] for x, y in places],
+    )
+
+
+STATUS = "document.getElementById('status').textContent"
+READY = (
+    "document.getElementById('viewer').contentDocument?.body?.dataset.ready === 'true'"
+)
+
+
+def test_mask_viewer_and_reload(small, tmp_path):
+    page, _ = small
+    images, truth = photographs(3, **HARD["wood"], count=3)
+    for index, image in enumerate(images):
+        write_image(tmp_path / f"{index}.png", image)
+    with opened(page) as driver:
+        said = choose(driver, sorted(tmp_path.glob("*.png")))
+        assert "the object was found" in said
+        found = mask_of(driver, truth.shape)
+        assert overlap(found, truth) > 0.95
+        assert overlap(found, suggest_mask(images).mask) > 0.98
+        drag(driver, "paint", (10, 10), (40, 10))
+        painted = mask_of(driver, truth.shape)
+        assert painted[8:12, 10:40].all() and (painted != found).sum() < 1000
+        driver.find_element("id", "undo").click()
+        np.testing.assert_array_equal(mask_of(driver, truth.shape), found)
+        # A box: nothing outside it.
+        rows, columns = (np.flatnonzero(truth.any(axis=axis)) for axis in (1, 0))
+        driver.execute_script("document.getElementById('status').textContent = ''")
+        corner = columns[-1] + 7, rows[-1] + 7
+        drag(driver, "box", (columns[0] - 6, rows[0] - 6), corner)
+        until(driver, f"return /object was found|stands out/.test({STATUS})", 120)
+        assert overlap(mask_of(driver, truth.shape), truth) > 0.9
+        # The viewer at the end, with a surface that turns.
+        driver.execute_script("document.getElementById('side').value = '0'")
+        driver.find_element("id", "estimate").click()
+        until(driver, f"return {READY} && /^done/.test({STATUS})", 240)
+        driver.switch_to.frame("viewer")
+        driver.find_element("css selector", "[data-mode=surface]").click()
+        until(driver, "return !document.getElementById('turning').hidden", 60)
+        driver.switch_to.default_content()
+        # A reload takes it up again.
+        kept = mask_of(driver, truth.shape)
+        driver.get(driver.current_url)
+        until(driver, f"return {STATUS} === 'as it was left' && {READY}", 240)
+        np.testing.assert_array_equal(mask_of(driver, truth.shape), kept)
+        assert not [text for text in messages(driver) if "Error" in text]
+
+
+def test_a_run_that_was_cut_off_goes_on(small, tmp_path):
+    page, _ = small
+    write_set(tmp_path / "set", np.uint8)
+    with opened(page) as driver:
+        choose(driver, sorted((tmp_path / "set").iterdir()))
+        # As if the screen had gone off with half of the pixels done.
+        driver.execute_async_script(
+            """
+            const done = arguments[arguments.length - 1];
+            import("./keep.js").then(async ({ keep }) => {
+              const normals = new Float32Array(21 * 26 * 3);
+              for (let i = 0; i < 10 * 26; i++) normals[3 * i] = 1;
+              const options = { side: "0", transfer: "auto" };
+              await keep("running", { options, normals });
+              done();
+            });
+            """
+        )
+        driver.get(driver.current_url)
+        until(driver, "return !!window.unips?.state.result", 240)
+        normals = driver.execute_script("return [...unips.state.result.normals]")
+        normals = np.reshape(normals, (21, 26, 3))
+        assert (normals[6:10, 7:24] == (1, 0, 0)).all()  # kept, not computed anew
+        assert not (normals[10:19, 7:24] == (1, 0, 0)).all(axis=-1).any()
+        lengths = np.linalg.norm(normals[10:19, 7:24], axis=-1)
+        np.testing.assert_allclose(lengths, 1, atol=1e-3)
+
+
+def test_turned_and_unreadable_photographs(small, tmp_path):
+    page, _ = small
+    pixels = np.zeros((24, 36, 3), np.uint8)
+    pixels[:8, :12] = 255
+    exif = Image.Exif()
+    exif[0x0112] = 6  # a quarter to the right
+    Image.fromarray(pixels).save(tmp_path / "turned.jpg", exif=exif, quality=95)
+    (tmp_path / "phone.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(200))
+    with opened(page) as driver:
+        choose(driver, [tmp_path / "turned.jpg"])
+        width, height, *values = driver.execute_script(
+            "const [f] = unips.state.photographs;"
+            "return [f.width, f.height, ...f.values]"
+        )
+        assert (width, height) == (24, 36)
+        values = np.reshape(values, (36, 24, 3))
+        assert values[:10, 17:].min() > 200 and values[:, :14].max() < 50
+        said = choose(driver, [tmp_path / "phone.heic"])
+        assert "phone.heic: expected an image that this browser reads" in said
+        assert "Safari" in said
+
+
+def test_the_page_is_small(small):
+    page, _ = small
+    files = [file for file in page.rglob("*") if file.is_file()]
+    size = sum(file.stat().st_size for file in files if file.parent.name != "network")
+    # The shipped networks are 14.1 MB, the mask's 2.3.
+    assert size + 16.4e6 < 40e6
 
 
 @pytest.mark.slow

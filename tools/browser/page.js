@@ -1,22 +1,35 @@
-// The page: files in, a mask, normals out. All of it stays in this browser.
+// The page: files in, a mask, a lit surface out. All of it stays in this browser.
 import { encode } from "fast-png";
+import { Editor } from "./editor.js";
+import { forget, keep, recall, stayAwake } from "./keep.js";
+import { meanPicture, resize } from "./mask.js";
 import {
-  brightestOfAll, leaveOut, linearImages, maskOf, readFile, Refusal, requireAlike,
+  brightestOfAll, filesOf, leaveOut, linearImages, maskOf, readFile, Refusal, requireAlike,
+  requireMaskFits,
 } from "./photographs.js";
+import { viewerPage } from "./surface.js";
 
 const MOST_VALUES = 3e8; // numbers of all photographs: more does not fit a browser
+const MOST_KEPT = 4e8; // bytes of files
+const SEEN_SIDE = 640; // of the picture that the mask is looked for in
+const BOX_MARGIN = 0.1; // of the box, around it
 const $ = (id) => document.getElementById(id);
-const state = { photographs: [], maskFile: null, brightest: null, result: null };
+const state = { photographs: [], files: [], brightest: null, mask: null, result: null };
 let worker;
 
 const say = (text, bad = false) => {
   $("status").textContent = text;
   $("status").classList.toggle("bad", bad);
 };
+const editor = new Editor($("photograph"), (...box) => findObject(box), () => {
+  $("undo").disabled = !editor.past.length;
+  keep("mask", state.mask);
+});
 
-async function take(list) {
+// Reads files; what is wrong with them is said, and what was there before stays.
+async function take(list, mask = null) {
   const files = [...list].filter((file) => file.size && !file.name.startsWith("."))
-    .filter((file) => /^image\//.test(file.type))
+    .filter((file) => /^image\//.test(file.type) || /\.hei[cf]$/i.test(file.name))
     .sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   const stem = (file) => file.name.replace(/\.[^.]*$/, "").toLowerCase();
   const masks = files.filter((file) => stem(file) === "mask");
@@ -27,67 +40,49 @@ async function take(list) {
       say(`reading ${file.name}`);
       read.push(await readFile(file));
     }
-    if (read.length) {
-      requireAlike(read);
-      state.photographs = read;
-      state.maskFile = null;
-    }
-    if (masks.length) state.maskFile = await readFile(masks[0]);
-    if (!state.photographs.length) throw new Refusal("expected photographs, got none");
-    if (state.maskFile) requireMaskFits();
-    state.brightest = brightestOfAll(state.photographs);
-    $("mask-kind").value = state.maskFile ? "file" : "none";
-    $("mask-kind").options[0].disabled = !state.maskFile;
-    $("options").hidden = false;
-    const { width, height, tag } = state.photographs[0];
-    $("auto").textContent = `as the files say (${tag})`;
-    say(`${state.photographs.length} photographs of ${width} x ${height}`);
-    showMask();
+    if (read.length) requireAlike(read);
+    const photographs = read.length ? read : state.photographs;
+    if (!photographs.length) throw new Refusal("expected photographs, got none");
+    const maskFile = masks.length ? await readFile(masks[0]) : null;
+    if (maskFile) requireMaskFits(maskFile, photographs[0]);
+    if (read.length) [state.photographs, state.files] = [read, files];
+    else state.files = [...state.files, ...masks];
+    await show(maskFile, mask);
+    const bytes = state.files.reduce((sum, file) => sum + file.size, 0);
+    if (bytes <= MOST_KEPT) await keep("files", state.files);
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
     say(error.message, true);
   }
 }
 
-function requireMaskFits() {
-  const [first] = state.photographs;
-  const { name, width, height } = state.maskFile;
-  if (width === first.width && height === first.height) return;
-  state.maskFile = null;
-  throw new Refusal(
-    `${name}: expected a mask of ${first.width} x ${first.height} pixels as ` +
-      `${first.name}, got ${width} x ${height}`,
-  );
+async function show(maskFile, mask) {
+  const { width, height, tag } = state.photographs[0];
+  state.brightest = brightestOfAll(state.photographs);
+  state.mask = mask ?? (maskFile ? maskOf(maskFile) : new Uint8Array(width * height).fill(1));
+  $("auto").textContent = `as the files say (${tag})`;
+  for (const id of ["drop", "result"]) $(id).hidden = true;
+  $("normals").hidden = true;
+  $("work").hidden = false;
+  editor.show(picture(), state.mask, width, height);
+  const count = `${state.photographs.length} photographs of ${width} x ${height}`;
+  if (mask || maskFile) say(`${count}; what is dark is not the object`);
+  else await findObject(null, count);
 }
 
-function currentMask() {
-  const kind = $("mask-kind").value;
-  const [first] = state.photographs;
-  let mask;
-  if (kind === "file") mask = maskOf(state.maskFile);
-  else if (kind === "threshold") {
-    // On the square root, where dark parts are told apart best.
-    const level = ($("threshold").value / 100) ** 2 * first.top;
-    mask = Uint8Array.from(state.brightest, (value) => (value > level ? 1 : 0));
-  } else mask = new Uint8Array(first.width * first.height).fill(1);
-  return leaveOut(mask, state.photographs, state.brightest);
-}
-
-function showMask() {
-  $("threshold").disabled = $("mask-kind").value !== "threshold";
-  const mask = currentMask();
-  const [file] = state.photographs;
-  const { width, height, values, channels, top } = file;
-  const picture = new ImageData(width, height);
-  const encoded = transferOf() === "srgb" ? 1 : 1 / 2.2;
-  for (let i = 0; i < width * height; i++) {
-    for (let c = 0; c < 3; c++) {
-      const value = (values[i * channels + (channels === 3 ? c : 0)] / top) ** encoded;
-      picture.data[i * 4 + c] = mask[i] ? 255 * value : 64 * value + (c === 2 ? 90 : 20);
+// The brightest of all photographs as RGB of 0 to 255: [h, w, 3].
+function picture() {
+  const [{ width, height, channels, top }] = state.photographs;
+  const out = new Uint8ClampedArray(width * height * 3);
+  const shown = transferOf() === "srgb" ? 1 : 1 / 2.2;
+  const table = Float32Array.from({ length: top + 1 }, (_, v) => 255 * (v / top) ** shown);
+  for (const { values } of state.photographs) {
+    for (let i = 0; i < out.length; i++) {
+      const value = table[values[channels === 3 ? i : (i / 3) | 0]];
+      if (value > out[i]) out[i] = value;
     }
-    picture.data[i * 4 + 3] = 255;
   }
-  draw($("photograph"), picture);
+  return out;
 }
 
 const transferOf = () => {
@@ -95,14 +90,71 @@ const transferOf = () => {
   return chosen === "auto" ? state.photographs[0].tag : chosen;
 };
 
-function draw(canvas, picture) {
-  canvas.width = picture.width;
-  canvas.height = picture.height;
-  canvas.getContext("2d").putImageData(picture, 0, 0);
+// One answer of the worker, by the name of its field; progress is said meanwhile.
+function ask(message, field, onOther = () => {}) {
+  worker ??= new Worker("./worker.js", { type: "module" });
+  return new Promise((resolve, reject) => {
+    worker.onmessage = ({ data }) => {
+      if (data.error) reject(new Refusal(data.error));
+      else if (data.stage) say(`${data.stage}...`);
+      else if (field in data && (data.step ?? 1) === 1) resolve(data);
+      else onOther(data);
+    };
+    worker.onerror = (event) =>
+      reject(new Refusal(event.message || "the network could not be started"));
+    worker.postMessage(message);
+  });
+}
+
+// Looks for the object, in a box if there is one, and makes it the mask.
+async function findObject(box = null, count = "") {
+  const [{ width, height }] = state.photographs;
+  const step = Math.max(1, Math.ceil(Math.max(width, height) / SEEN_SIDE));
+  const whole = new Uint8Array(width * height).fill(1);
+  const small = linearImages(state.photographs, whole, transferOf(), step);
+  const n = state.photographs.length;
+  let seen = meanPicture(small.images, n, small.width * small.height);
+  let [left, top, w, h] = [0, 0, small.width, small.height];
+  if (box) {
+    const [x0, y0, x1, y1] = box.map((value) => value / step);
+    const margin = BOX_MARGIN * Math.max(x1 - x0, y1 - y0);
+    [left, top] = [Math.max(0, Math.floor(x0 - margin)), Math.max(0, Math.floor(y0 - margin))];
+    w = Math.min(small.width, Math.ceil(x1 + margin)) - left;
+    h = Math.min(small.height, Math.ceil(y1 + margin)) - top;
+    const part = new Float32Array(w * h * 3);
+    for (let y = 0; y < h; y++) {
+      const from = ((top + y) * small.width + left) * 3;
+      part.set(seen.subarray(from, from + 3 * w), y * w * 3);
+    }
+    seen = part;
+  }
+  const before = count ? `${count}: ` : "";
+  try {
+    const { found } = await ask({ kind: "mask", picture: seen, width: w, height: h }, "found");
+    if (!found) {
+      const kept = box ? "the mask stays; paint it" : "draw a box, paint, or take the whole image";
+      say(`${before}no object stands out; ${kept}`, !count);
+      return;
+    }
+    const full = resize(Float32Array.from(found), w, h, w * step, h * step);
+    const mask = new Uint8Array(width * height);
+    for (let y = 0; y < h * step && top * step + y < height; y++) {
+      for (let x = 0; x < w * step && left * step + x < width; x++) {
+        const [px, py] = [left * step + x, top * step + y];
+        const inBox = !box || (px >= box[0] && px < box[2] && py >= box[1] && py < box[3]);
+        if (inBox && full[y * w * step + x] > 0.5) mask[py * width + px] = 1;
+      }
+    }
+    editor.replace(mask);
+    say(`${before}the object was found; what is dark is not the object`);
+  } catch (error) {
+    if (!(error instanceof Refusal)) throw error;
+    say(`${before}the object was not looked for: ${error.message}`, true);
+  }
 }
 
 function showNormals(normals, mask, width, height, step) {
-  const picture = new ImageData(width, height);
+  const shown = new ImageData(width, height);
   for (let y = 0; y < height; y++) {
     for (let x = 0; x < width; x++) {
       const i = y * width + x;
@@ -110,72 +162,81 @@ function showNormals(normals, mask, width, height, step) {
       const from = 3 * ((y - (y % step)) * width + x - (x % step));
       if (!normals[from] && !normals[from + 1] && !normals[from + 2]) continue;
       for (let c = 0; c < 3; c++) {
-        picture.data[i * 4 + c] = Math.round((normals[from + c] + 1) * 127.5);
+        shown.data[i * 4 + c] = Math.round((normals[from + c] + 1) * 127.5);
       }
-      picture.data[i * 4 + 3] = 255;
+      shown.data[i * 4 + 3] = 255;
     }
   }
-  draw($("normals"), picture);
+  $("normals").hidden = false;
+  $("normals").width = width;
+  $("normals").height = height;
+  $("normals").getContext("2d").putImageData(shown, 0, 0);
 }
 
-async function estimate(provider) {
+// `known`: normals of a run that was cut off.
+async function estimate(known = null) {
   const [first] = state.photographs;
   const most = Number($("side").value);
   const step = most ? Math.max(1, Math.ceil(Math.max(first.width, first.height) / most)) : 1;
-  const values = (state.photographs.length * first.width * first.height * 3) / step ** 2;
-  if (values > MOST_VALUES) {
+  const n = state.photographs.length;
+  if ((n * first.width * first.height * 3) / step ** 2 > MOST_VALUES) {
     say("expected less to compute than a browser has memory for; choose a smaller side", true);
     return;
   }
-  const given = linearImages(state.photographs, currentMask(), transferOf(), step);
-  const { mask, width, height } = given;
+  const inside = leaveOut(state.mask.slice(), state.photographs, state.brightest);
+  const given = linearImages(state.photographs, inside, transferOf(), step);
+  const { mask, width, height, images } = given;
   if (!mask.some((value) => value)) {
-    say("expected a mask with something inside, got none; choose another", true);
+    say("expected a mask with something inside, got none; paint the object", true);
     return;
   }
   const began = performance.now();
-  worker ??= new Worker("./worker.js", { type: "module" });
+  const options = { side: $("side").value, transfer: $("transfer").value };
+  const right = known?.length === width * height * 3 ? known : null;
+  await keep("running", { options, normals: right });
   busy(true);
-  worker.onmessage = ({ data }) => {
-    if (data.error && provider === "webgpu") {
-      stop();
-      estimate("wasm"); // the processor can do all that a graphics card may refuse
-    } else if (data.error) {
-      say(data.error, true);
-      busy(false);
-    } else if (data.stage) say(`${data.stage}...`);
-    else if (data.total) {
-      const share = data.done / data.total;
-      const left = ((performance.now() - began) / 1000) * (1 / share - 1);
-      $("progress").value = share;
-      say(`${Math.round(100 * share)}%, about ${Math.ceil(left)} s left`);
-    } else if (data.normals) {
-      showNormals(data.normals, mask, width, height, data.step);
-      if (data.step > 1) return;
-      state.result = { normals: data.normals, mask, width, height, seconds: data.seconds };
-      const how = provider === "webgpu" ? "graphics card" : `${data.threads} threads`;
-      say(`done in ${data.seconds.toFixed(1)} s (${how})`);
-      busy(false);
-    }
-  };
-  worker.onerror = (event) => {
-    say(event.message || "the network could not be started", true);
+  try {
+    const message = { kind: "normals", images, mask, width, height, n, known: right };
+    const { normals, seconds, threads } = await ask(message, "normals", (data) => {
+      if (data.total) {
+        const share = data.done / data.total;
+        const left = ((performance.now() - began) / 1000) * (1 / share - 1);
+        $("progress").value = share;
+        say(`${Math.round(100 * share)} %, about ${Math.ceil(left)} s left`);
+      } else if (data.normals) showNormals(data.normals, mask, width, height, data.step);
+      else if (data.partial) keep("running", { options, normals: data.partial });
+    });
+    showNormals(normals, mask, width, height, 1);
+    const names = state.photographs.map(({ name }) => name);
+    state.result = { normals, mask, images, width, height, names, seconds };
+    await forget("running");
+    await keep("result", state.result);
+    say("making the surface...");
+    await showResult();
+    say(`done in ${seconds.toFixed(1)} s (${threads} threads); drag to move the light`);
+  } catch (error) {
+    if (!(error instanceof Refusal)) throw error;
+    say(error.message, true);
+  } finally {
     busy(false);
-  };
-  worker.postMessage({ ...given, n: state.photographs.length, provider });
+  }
+}
+
+async function showResult() {
+  const template = await (await fetch("./viewer.html")).text();
+  state.page = await viewerPage(template, state.result, "Surface");
+  $("viewer").srcdoc = state.page;
+  $("result").hidden = false;
+  $("result").scrollIntoView({ behavior: "smooth" });
 }
 
 function busy(now) {
+  stayAwake(now);
   $("estimate").hidden = now;
   $("cancel").hidden = !now;
   $("progress").hidden = !now;
   $("progress").value = 0;
   $("download").hidden = now || !state.result;
-}
-
-function stop() {
-  worker?.terminate();
-  worker = undefined;
 }
 
 // 16 bits, as `unips estimate` writes it: (n + 1) / 2 of full scale, green is up.
@@ -186,51 +247,91 @@ function normalsPng() {
   return encode({ width, height, data, depth: 16, channels: 3 });
 }
 
+function save(name, content, type) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([content], { type }));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+}
+
 $("choose").onclick = () => $("files").click();
-$("files").onchange = ({ target }) => {
+$("files").onchange = async ({ target }) => {
   const files = [...target.files];
   target.value = ""; // so that the same files can be chosen again
+  await startOver();
   take(files);
 };
 document.ondragover = (event) => event.preventDefault();
 document.ondrop = async (event) => {
   event.preventDefault();
   const entries = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.());
-  take([...event.dataTransfer.files, ...(await filesOf(entries))].filter((f) => f.size));
+  const files = [...event.dataTransfer.files];
+  take([...files, ...(await filesOf(entries))].filter((f) => f.size));
 };
-for (const id of ["mask-kind", "threshold", "transfer"]) $(id).oninput = showMask;
-$("provider").options[1].disabled = !navigator.gpu;
+for (const button of document.querySelectorAll("[data-tool]")) {
+  button.onclick = () => {
+    const tool = editor.tool === button.dataset.tool ? null : button.dataset.tool;
+    editor.choose(tool);
+    for (const other of document.querySelectorAll("[data-tool]")) {
+      other.setAttribute("aria-pressed", String(other.dataset.tool === tool));
+    }
+  };
+}
+editor.choose(null);
+$("brush").oninput = ({ target }) => { editor.brush = target.value / 1000; };
+$("undo").onclick = () => editor.undo();
+$("find").onclick = () => findObject();
+$("whole").onclick = () => editor.replace(new Uint8Array(state.mask.length).fill(1));
+$("transfer").oninput = () => {
+  editor.picture = picture();
+  editor.draw();
+};
 $("estimate").onclick = () => {
   state.result = null;
-  estimate($("provider").value);
+  $("result").hidden = true;
+  estimate();
 };
 $("cancel").onclick = () => {
-  stop();
+  worker?.terminate();
+  worker = undefined;
+  forget("running");
   busy(false);
   say("stopped");
 };
-$("download").onclick = () => {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(new Blob([normalsPng()], { type: "image/png" }));
-  link.download = "normals.png";
-  link.click();
+$("restart").onclick = async () => {
+  $("cancel").onclick();
+  await startOver();
+  say("");
 };
-// For tests, and for those who look into pages.
-window.unips = { state, normalsPng };
+$("download").onclick = () => save("normals.png", normalsPng(), "image/png");
+$("save").onclick = () => save("surface.html", state.page, "text/html");
 
-// The files of folders that were dropped; files themselves came with the event.
-async function filesOf(entries) {
-  const found = [];
-  for (const entry of entries) {
-    if (!entry?.isDirectory) continue;
-    const reader = entry.createReader();
-    for (let batch; (batch = await new Promise((ok, no) => reader.readEntries(ok, no))).length; ) {
-      for (const inner of batch) {
-        if (inner.isFile) found.push(await new Promise((ok, no) => inner.file(ok, no)));
-      }
-    }
+async function startOver() {
+  await forget();
+  Object.assign(state, { photographs: [], files: [], mask: null, result: null });
+  for (const id of ["work", "result", "download"]) $(id).hidden = true;
+  $("drop").hidden = false;
+}
+
+// What a phone closed with its screen, or a reload: taken up again.
+async function takeUp() {
+  const files = await recall("files");
+  if (!files?.length) return;
+  const [mask, running, result] = [await recall("mask"), await recall("running"), await recall("result")];
+  await take(files, mask ?? null);
+  if (!state.photographs.length) return;
+  if (running) {
+    $("side").value = running.options.side;
+    $("transfer").value = running.options.transfer;
+    estimate(running.normals);
+  } else if (result) {
+    state.result = result;
+    showNormals(result.normals, result.mask, result.width, result.height, 1);
+    $("download").hidden = false;
+    await showResult();
+    say("as it was left");
   }
-  return found;
 }
 
 // Threads need headers that few servers send: a service worker adds them, once.
@@ -240,4 +341,10 @@ if (!crossOriginIsolated && "serviceWorker" in navigator && !sessionStorage.isol
     sessionStorage.isolated = "tried";
     location.reload();
   }, () => {});
-}
+} else takeUp();
+// A page that "back" brings from memory may be the one before the reload.
+addEventListener("pageshow", (event) => {
+  if (event.persisted && !crossOriginIsolated) location.reload();
+});
+// For tests, and for those who look into pages.
+window.unips = { state, normalsPng, editor };

@@ -56,18 +56,7 @@ function tagOf(bytes, depth) {
 }
 
 async function ofBrowser(file, tag) {
-  let bitmap;
-  try {
-    bitmap = await createImageBitmap(file, {
-      colorSpaceConversion: "none", premultiplyAlpha: "none",
-      imageOrientation: "from-image",
-    });
-  } catch {
-    throw new Refusal(
-      `${file.name}: expected an image that this browser reads, got another file; ` +
-        "export it as PNG or JPEG",
-    );
-  }
+  const bitmap = await decoded(file);
   const { width, height } = bitmap;
   const context = new OffscreenCanvas(width, height).getContext("2d");
   context.drawImage(bitmap, 0, 0);
@@ -83,6 +72,32 @@ async function ofBrowser(file, tag) {
     name: file.name, width, height, channels: 3, top: 255, values,
     alpha: clear ? alpha : null, tag,
   };
+}
+
+// An image as the browser decodes it, turned as its EXIF data says.
+async function decoded(file) {
+  const options = {
+    colorSpaceConversion: "none", premultiplyAlpha: "none", imageOrientation: "from-image",
+  };
+  const image = new Image();
+  try {
+    return await createImageBitmap(file, options);
+  } catch { // Safari decodes HEIC as an element first
+    try {
+      image.src = URL.createObjectURL(file);
+      await image.decode();
+      return await createImageBitmap(image, options);
+    } catch {
+      const heic = /\.hei[cf]$/i.test(file.name) || /hei[cf]/.test(file.type);
+      throw new Refusal(
+        `${file.name}: expected an image that this browser reads, got another file; ` +
+          (heic ? "open the page in Safari, or set the phone's camera to JPEG (Most Compatible)"
+            : "export it as PNG or JPEG"),
+      );
+    } finally {
+      URL.revokeObjectURL(image.src);
+    }
+  }
 }
 
 export function requireAlike(files) {
@@ -103,6 +118,14 @@ export function requireAlike(files) {
       );
     }
   }
+}
+
+export function requireMaskFits({ name, width, height }, first) {
+  if (width === first.width && height === first.height) return;
+  throw new Refusal(
+    `${name}: expected a mask of ${first.width} x ${first.height} pixels as ` +
+      `${first.name}, got ${width} x ${height}`,
+  );
 }
 
 export const brightestOf = (file) => {
@@ -219,4 +242,19 @@ export function linearImages(files, mask, transfer, step) {
   }
   const inside = Uint8Array.from(counts, (count) => (2 * count > step * step ? 1 : 0));
   return { images, mask: inside, width: w, height: h };
+}
+
+// The files of folders that were dropped; files themselves came with the event.
+export async function filesOf(entries) {
+  const found = [];
+  for (const entry of entries) {
+    if (!entry?.isDirectory) continue;
+    const reader = entry.createReader();
+    for (let batch; (batch = await new Promise((ok, no) => reader.readEntries(ok, no))).length; ) {
+      for (const inner of batch) {
+        if (inner.isFile) found.push(await new Promise((ok, no) => inner.file(ok, no)));
+      }
+    }
+  }
+  return found;
 }

@@ -1,0 +1,227 @@
+// Depth from normals, and the product's own viewer around a result.
+import { encode } from "fast-png";
+
+const SIDE = 1024; // of the viewer's pictures
+const MARGIN = 0.04;
+const ROUNDS = 400;
+
+// Depth away from the viewer, in pixels, by least squares over neighbours: conjugate
+// gradients, from half the size up. `normals` [h, w, 3]; 0 outside.
+export function depthOf(normals, w, h) {
+  let start = null;
+  if (Math.max(w, h) > 48) {
+    const [hw, hh] = [w >> 1, h >> 1];
+    const half = new Float32Array(hw * hh * 3);
+    for (let y = 0; y < hh; y++) {
+      for (let x = 0; x < hw; x++) {
+        for (let c = 0; c < 3; c++) {
+          half[(y * hw + x) * 3 + c] = [0, 1, w, w + 1].reduce(
+            (sum, at) => sum + normals[((2 * y * w) + 2 * x + at) * 3 + c], 0);
+        }
+        const at = (y * hw + x) * 3;
+        const length = Math.hypot(half[at], half[at + 1], half[at + 2]);
+        for (let c = 0; c < 3; c++) half[at + c] /= length || 1;
+      }
+    }
+    const coarse = depthOf(half, hw, hh);
+    start = new Float32Array(w * h);
+    for (let i = 0; i < w * h; i++) {
+      const [x, y] = [Math.min((i % w) >> 1, hw - 1), Math.min(Math.floor(i / w) >> 1, hh - 1)];
+      start[i] = 2 * coarse[y * hw + x];
+    }
+  }
+  return solve(normals, w, h, start);
+}
+
+function solve(normals, w, h, start) {
+  const size = w * h;
+  const facing = (i) => Math.max(normals[3 * i + 2], 0.08);
+  const there = (i) => normals[3 * i] || normals[3 * i + 1] || normals[3 * i + 2];
+  // An edge leads from a pixel to its right (axis 0) or lower (axis 1) neighbour.
+  const weight = [new Float32Array(size), new Float32Array(size)];
+  const right = new Float32Array(size); // of the equations
+  const diagonal = new Float32Array(size);
+  const step = [1, w];
+  for (let i = 0; i < size; i++) {
+    if (!there(i)) continue;
+    for (const axis of [0, 1]) {
+      const j = i + step[axis];
+      if (j >= size || (axis === 0 && j % w === 0) || !there(j)) continue;
+      const slope = (k) => (axis === 0 ? normals[3 * k] : -normals[3 * k + 1]) / facing(k);
+      const value = (slope(i) + slope(j)) / 2;
+      const trust = Math.min(facing(i), facing(j)) ** 2;
+      weight[axis][i] = trust;
+      diagonal[i] += trust;
+      diagonal[j] += trust;
+      right[i] -= trust * value;
+      right[j] += trust * value;
+    }
+  }
+  const times = (v) => {
+    const out = new Float32Array(size);
+    for (const axis of [0, 1]) {
+      for (let i = 0; i + step[axis] < size; i++) {
+        const trust = weight[axis][i];
+        if (!trust) continue;
+        const flow = trust * (v[i] - v[i + step[axis]]);
+        out[i] += flow;
+        out[i + step[axis]] -= flow;
+      }
+    }
+    return out;
+  };
+  const depth = start ?? new Float32Array(size);
+  const residual = times(depth).map((value, i) => right[i] - value);
+  const eased = () => residual.map((value, i) => (diagonal[i] ? value / diagonal[i] : 0));
+  const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
+  let z = eased();
+  let along = z.slice();
+  let power = dot(residual, z);
+  const enough = 1e-8 * dot(right, right.map((v, i) => (diagonal[i] ? v / diagonal[i] : 0)));
+  for (let round = 0; round < ROUNDS && power > enough; round++) {
+    const image = times(along);
+    const length = power / (dot(along, image) || 1);
+    for (let i = 0; i < size; i++) {
+      depth[i] += length * along[i];
+      residual[i] -= length * image[i];
+    }
+    z = eased();
+    const next = dot(residual, z);
+    const share = next / power;
+    for (let i = 0; i < size; i++) along[i] = z[i] + share * along[i];
+    power = next;
+  }
+  return depth;
+}
+
+// The part that is shown, means over `step` x `step` pixels of what is inside.
+function partOf(values, inside, w, h, channels) {
+  const xs = [];
+  const ys = [];
+  for (let i = 0; i < inside.length; i++) {
+    if (!inside[i]) continue;
+    xs.push(i % w);
+    ys.push(Math.floor(i / w));
+  }
+  const least = (list) => list.reduce((a, b) => Math.min(a, b), Infinity);
+  const most = (list) => list.reduce((a, b) => Math.max(a, b), 0);
+  const margin = Math.ceil(MARGIN * Math.max(most(xs) - least(xs), most(ys) - least(ys)));
+  const left = Math.max(0, least(xs) - margin);
+  const top = Math.max(0, least(ys) - margin);
+  const [wide, high] = [Math.min(w, most(xs) + margin + 1) - left, Math.min(h, most(ys) + margin + 1) - top];
+  const step = Math.max(1, Math.ceil(Math.max(wide, high) / SIDE));
+  const [width, height] = [Math.max(1, Math.floor(wide / step)), Math.max(1, Math.floor(high / step))];
+  const shrink = (from, count) => {
+    const out = new Float32Array(width * height * count);
+    for (let y = 0; y < height * step; y++) {
+      for (let x = 0; x < width * step; x++) {
+        const to = (Math.floor(y / step) * width + Math.floor(x / step)) * count;
+        const at = ((top + y) * w + left + x) * count;
+        for (let c = 0; c < count; c++) out[to + c] += from[at + c] / step ** 2;
+      }
+    }
+    return out;
+  };
+  return { left, top, width, height, step, shrink };
+}
+
+const address = (bytes, type) => new Promise((resolve) => {
+  const reader = new FileReader();
+  reader.onload = () => resolve(reader.result);
+  reader.readAsDataURL(new Blob([bytes], { type }));
+});
+
+const png = (data, width, height) =>
+  address(encode({ width, height, data, depth: 8, channels: 3 }), "image/png");
+
+async function jpeg(linear, white, width, height) {
+  const picture = new ImageData(width, height);
+  for (let i = 0; i < width * height; i++) {
+    for (let c = 0; c < 3; c++) {
+      const x = Math.min(linear[3 * i + c] / white, 1);
+      picture.data[4 * i + c] = 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055);
+    }
+    picture.data[4 * i + 3] = 255;
+  }
+  const canvas = new OffscreenCanvas(width, height);
+  canvas.getContext("2d").putImageData(picture, 0, 0);
+  return address(await canvas.convertToBlob({ type: "image/jpeg", quality: 0.82 }), "image/jpeg");
+}
+
+// The page of `unips view` for a result: {normals, mask, width, height, images, names}.
+export async function viewerPage(template, result, title) {
+  const { normals, mask, images, names } = result;
+  const part = partOf(normals, mask, result.width, result.height);
+  const { width, height, step, left, top } = part;
+  const shown = part.shrink(normals, 3);
+  const inside = part.shrink(Float32Array.from(mask), 1).map((share) => (share > 0.5 ? 1 : 0));
+  const bytes = new Uint8Array(width * height * 3).fill(128);
+  for (let i = 0; i < width * height; i++) {
+    const length = inside[i] ? Math.hypot(...shown.subarray(3 * i, 3 * i + 3)) : 0;
+    for (let c = 0; c < 3; c++) {
+      shown[3 * i + c] = length ? shown[3 * i + c] / length : 0;
+      bytes[3 * i + c] = Math.round(shown[3 * i + c] * 127.5 + 127.5);
+    }
+  }
+  const depth = depthOf(shown, width, height);
+  const pixels = width * height;
+  const found = { facts: [["size", `${result.width} x ${result.height}`], ["photographs", String(names.length)]] };
+  const photographs = [];
+  const mean = new Float32Array(pixels * 3);
+  const size = result.width * result.height * 3;
+  for (const [k, name] of names.entries()) {
+    const linear = part.shrink(images.subarray(k * size, (k + 1) * size), 3);
+    linear.forEach((value, i) => { mean[i] += value / names.length; });
+    photographs.push({ name, image: await jpeg(linear, whiteOf(linear, inside), width, height) });
+  }
+  return withData(template, title, {
+    ...found, width, height, scale: step, first: [left, top], unit_mm: null,
+    camera: {
+      focal: null, distance: 1,
+      column: ((result.width - 1) / 2 - left + 0.5) / step - 0.5,
+      row: ((result.height - 1) / 2 - top + 0.5) / step - 0.5,
+    },
+    normals: await png(bytes, width, height),
+    depth: await depthPicture(depth, inside, width, height, step),
+    confidence: null,
+    color: { image: await jpeg(mean, whiteOf(mean, inside), width, height), kind: "mean" },
+    photographs,
+  });
+}
+
+function whiteOf(linear, inside) {
+  const values = [];
+  for (let i = 0; i < inside.length; i++) {
+    if (inside[i]) values.push(Math.max(linear[3 * i], linear[3 * i + 1], linear[3 * i + 2]));
+  }
+  values.sort((a, b) => a - b);
+  return values[Math.floor(0.995 * (values.length - 1))] || 1;
+}
+
+async function depthPicture(depth, inside, width, height, step) {
+  let [near, far] = [Infinity, -Infinity];
+  depth.forEach((value, i) => {
+    if (!inside[i]) return;
+    near = Math.min(near, value);
+    far = Math.max(far, value);
+  });
+  const bytes = new Uint8Array(width * height * 3);
+  depth.forEach((value, i) => {
+    if (!inside[i]) return;
+    const level = 1 + Math.round(((value - near) / (far - near || 1)) * 65534);
+    bytes[3 * i] = level >> 8;
+    bytes[3 * i + 1] = level & 255;
+  });
+  const image = await png(bytes, width, height);
+  return { image, near: near * step, far: far * step, unit: "pixels", pixel: step };
+}
+
+function withData(template, title, data) {
+  const open = '<script type="application/json" id="data">';
+  const from = template.indexOf(open) + open.length;
+  const to = template.indexOf("</script>", from);
+  const all = { ...JSON.parse(template.slice(from, to)), ...data };
+  const escaped = title.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
+  return template.slice(0, from).replaceAll("TITLE", escaped) +
+    JSON.stringify(all).replaceAll("<", "\\u003c") + template.slice(to);
+}
