@@ -10,6 +10,8 @@ are learnt). Images of 192 x 192 show detail finer than the encoder's own. The p
 and losses that gain (`configs/ablation.py`) are options, as there. A fork that falls
 shows what a checkpoint is worth: copy the folder, and go on in it with
 `--train.steps N --optim.fall-steps 400`.
+Its scenes cost 0.125 CPU seconds an object (128 x 128, eight images), those of `tiny`
+0.090.
 Hardware: two CPU cores, over as many sittings as it takes. Time and score: none yet.
 """
 
