@@ -90,9 +90,11 @@ class Notes {
       const screen = this.stage.mode === "picture" ? this.stage.screenAt(...at) : this.stage.solidAt(...at);
       if (!screen) return [];
       const [x, y] = screen;
-      const shown = text.length > MOST_LETTERS ? `${text.slice(0, MOST_LETTERS - 1)}…` : text;
+      const left = x > this.stage.size[0] / 2; // where there is more room
+      const room = (left ? x : this.stage.size[0] - x) - 40; // a letter takes some 8
+      const most = Math.min(MOST_LETTERS, Math.max(3, Math.floor(room / 8)));
+      const shown = text.length > most ? `${text.slice(0, most - 1)}…` : text;
       const pin = `M${x} ${y}L${x - 6} ${y - 14}A7 7 0 1 1 ${x + 6} ${y - 14}Z`;
-      const left = x > 0.6 * this.stage.size[0]; // where there is more room
       const words = label(x + (left ? -12 : 12), y - 12, `${index + 1}  ${shown}`);
       if (left) words.setAttribute("text-anchor", "end");
       return [...marked("path", { d: pin }), words];
