@@ -353,7 +353,7 @@ def test_an_estimate_is_cancelled_and_changed(server, photographs):
 def test_a_minute_of_sleep_during_an_estimate(stand_in, tmp_path):
     with browser(1200, 1100) as driver:
         open_page(driver, stand_in.address)
-        upload(driver, written(tmp_path, 640, range(8)))
+        upload(driver, written(tmp_path, 320, range(8)))
         until(driver, lambda: can_estimate(driver))
         press(driver, "estimate")
         until(driver, lambda: shown(driver, "running"))
