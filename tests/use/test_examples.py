@@ -113,7 +113,7 @@ def test_it_is_a_layer_of_nnx_and_of_equinox():
     second = eqx.filter_grad(lambda model: model(images, mask).mean())(in_equinox)
     np.testing.assert_allclose(first["light"][...], second.light, atol=1e-5)
     count = len(jax.tree.leaves(network))
-    for gradients in (first["params"], second.network):
+    for gradients in (first["normals"], second.network):
         leaves = jax.tree.leaves(gradients)
         assert len(leaves) == count
         assert any(np.abs(leaf).max() > 0 for leaf in leaves)
