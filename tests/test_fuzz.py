@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from unips_jax import weights
 from unips_jax.cli import evaluate as evaluation
 from unips_jax.cli import main as cli
-from unips_jax.cli import surface, validate
+from unips_jax.cli import surface
 from unips_jax.estimation import streaming, writing
 from unips_jax.scenes import folders as scene_folders
 from unips_jax.training import loop, validation
@@ -174,7 +174,6 @@ def no_work():
         )
         patched.setattr(evaluation, "_evaluate", _reached)
         patched.setattr(surface, "write_surface", _reached)
-        patched.setattr(validate, "_validate_real", _reached)
         patched.setattr(streaming, "estimate_with_lights", _stand_in)
         patched.setattr(writing, "write_sheet", lambda file, *_, **__: None)
         patched.setattr(scene_folders, "render_folders", _reached)

@@ -91,7 +91,8 @@ def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
 
     @jax.jit
     def loss(network):
-        objects = Objects(*(jnp.asarray(x)[None] for x in (images, mask, normals)))
+        one = jnp.asarray(images), jnp.asarray(mask), jnp.asarray(normals)
+        objects = Objects(one[0][None], one[1][None], one[2][None])
         keys = jax.random.split(jax.random.key(0), 1)
         options = LossOptions(num_pixels=mask.size)
 

@@ -72,6 +72,7 @@ def measured(arguments: Sequence[str], cache: Path) -> dict[str, float]:
         [sys.executable, *arguments], env=environment, stdout=subprocess.DEVNULL
     )
     _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
     if status:
         raise SystemExit(f"{' '.join(arguments)[:80]}: ended with status {status}")
     return {

@@ -27,27 +27,28 @@ def code_hash(*modules: str) -> str:
         FileNotFoundError: if there is no such module.
     """
     digest = hashlib.blake2b(digest_size=8)
-    for name in sorted(_reached(f"{_NAME}.{module}" for module in modules)):
-        tree = _without_docstrings(_parsed(name))
+    reached = _reached(f"{_NAME}.{module}" for module in modules)
+    for name in sorted(reached):
+        tree = _without_docstrings(reached[name])
         digest.update(f"{name}\n{ast.dump(tree)}\n".encode())
     return digest.hexdigest()
 
 
-def _reached(names: Iterator[str]) -> set[str]:
-    """The modules, and what they import of the package, directly or not."""
-    reached: set[str] = set()
+def _reached(names: Iterator[str]) -> dict[str, ast.Module]:
+    """The modules, and what they import of the package, directly or not, parsed."""
+    reached: dict[str, ast.Module] = {}
     left = list(names)
     while left:
         name = left.pop()
         if name not in reached and name not in _SILENT:
-            reached.add(name)
-            left.extend(_imports(name))
+            reached[name] = ast.parse(_file(name).read_bytes())
+            left.extend(_imports(reached[name]))
     return reached
 
 
-def _imports(name: str) -> Iterator[str]:
+def _imports(tree: ast.Module) -> Iterator[str]:
     """Modules of the package that a module imports (absolutely, as ours all do)."""
-    for node in _running(_parsed(name)):
+    for node in _running(tree):
         if isinstance(node, ast.Import):
             yield from (x.name for x in node.names if _is_ours(x.name))
         elif isinstance(node, ast.ImportFrom) and _is_ours(node.module or ""):
@@ -55,11 +56,6 @@ def _imports(name: str) -> Iterator[str]:
                 # A name is a module of the package, or something in the package.
                 inner = f"{node.module}.{alias.name}"
                 yield inner if _file(inner).is_file() else str(node.module)
-
-
-@functools.cache
-def _parsed(name: str) -> ast.Module:
-    return ast.parse(_file(name).read_bytes())
 
 
 def _running(node: ast.AST) -> Iterator[ast.AST]:

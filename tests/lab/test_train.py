@@ -125,7 +125,7 @@ def test_augmented_normals_stay_those_of_the_surface():
     many = jax.jit(jax.vmap(augment, (None, 0)))
     keys = jax.random.split(jax.random.key(0), 200)
     turns, orders = [], []
-    augmented = map(np.asarray, many(scene, keys))
+    augmented = map(np.asarray, many(scene, keys)[:4])
     for images, mask, normals, lights in zip(*augmented, strict=True):
         factors = images / images.min(-1, keepdims=True)
         orders += [tuple(each[0, 0].round().astype(int)) for each in factors]
