@@ -67,4 +67,4 @@ def test_a_module_that_is_not_there_is_an_error():
 def test_the_code_of_an_estimate_is_followed_into_all_rooms():
     reached = provenance._reached(["unips_jax.estimation.streaming"])
     wanted = {"models.unips", "models.upernet", "models.ops", "io.color"}
-    assert {f"unips_jax.{name}" for name in wanted} <= reached
+    assert {f"unips_jax.{name}" for name in wanted} <= set(reached)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from evaluation_data import make_diligent
 
-from unips_jax.cli import cluster, estimate, eval
+from unips_jax.cli import cluster, estimate, evaluate
 from unips_jax.errors import InputError
 
 HERE = Path(__file__).parents[1]
@@ -42,7 +42,7 @@ def test_an_evaluation_on_two_nodes_is_that_of_one(tmp_path):
     data = ["--benchmark", "diligent", "--root", str(tmp_path / "data")]
     data += ["--objects", "ball", "cat"]
     chosen = ["-m", "constant", "least-squares", "--no-pictures", "--workdir"]
-    assert eval.main([*data, *chosen, str(tmp_path / "one")]) == 0
+    assert evaluate.main([*data, *chosen, str(tmp_path / "one")]) == 0
     status, out, error = on_cluster(1, "eval", *data, *chosen, tmp_path / "many")
     assert status == 0, error
     assert "killed 1" in out

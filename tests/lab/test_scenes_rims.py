@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from unips_jax.scenes import SceneConfig, lights, render_batch, rims, sensor
+from unips_jax.scenes import SceneConfig, lamps, render_batch, rims, sensor
 from unips_jax.scenes.draws import Draws
 
 SIZE = 48
@@ -154,13 +154,13 @@ def test_other_scenes_are_lit_as_ever():
     key = jax.random.key(3)
     sides, direction = _lights(key, 0.0)
     assert not sides.one and not sides.corner
-    plain, _ = lights.draw_lights(Draws(key, 400), jnp.int32(0), 8)
+    plain, _ = lamps.draw_lights(Draws(key, 400), jnp.int32(0), 8)
     np.testing.assert_array_equal(direction, plain.vector)
 
 
 def _lights(key, rate):
-    sides = lights.draw_sides(
+    sides = lamps.draw_sides(
         Draws(jax.random.fold_in(key, 1), 8), SceneConfig(side_rate=rate)
     )
-    keys, _ = lights.draw_lights(Draws(key, 400), jnp.int32(0), 8, sides)
+    keys, _ = lamps.draw_lights(Draws(key, 400), jnp.int32(0), 8, sides)
     return sides, keys.vector

@@ -303,6 +303,7 @@ def test_a_reload_costs_nothing_and_results_are_run_again(stand_in, tmp_path):
         until(driver, lambda: can_estimate(driver))
         assert "8 Fotos mit 192 x 192 Pixeln" in text(driver) and fits(driver)
         press(driver, "mask-all")
+        time.sleep(1.5)  # it is sent half a second later; until then leaving warns
         press_visible(driver, "#thumbnails .x")
         until(driver, lambda: "von dir weggelassen" in text(driver, "aside"))
         until(driver, lambda: can_estimate(driver))

@@ -10,6 +10,7 @@ holes open through which the background is seen.
 
 import functools
 import importlib.resources
+from typing import Any
 
 import cv2
 import numpy as np
@@ -67,9 +68,8 @@ def saliency(picture: np.ndarray) -> np.ndarray:
     """
     small = cv2.resize(picture, (_INPUT, _INPUT), interpolation=cv2.INTER_AREA)
     values = (small / max(float(small.max()), 1e-6) - _MEAN) / _DEVIATION
-    values = values.transpose(2, 0, 1)[None].astype(np.float32)
     network = _network()
-    network.setInput(values)
+    network.setInput(values.transpose(2, 0, 1)[None].astype(np.float32))  # type: ignore[arg-type]
     seen = network.forward()[0, 0].copy()
     network.setInput(np.ascontiguousarray(values[..., ::-1]))
     mirrored = network.forward()[0, 0, :, ::-1]
@@ -199,7 +199,7 @@ def _deviations(picture: np.ndarray, background: np.ndarray) -> np.ndarray:
     sums = np.concatenate([weight, picture * weight, picture**2 * weight], axis=-1)
     near = _NEARBY * max(weight.shape)
     # Deep inside an object nothing of the background is near: further ones count.
-    blurred = cv2.GaussianBlur(sums, (0, 0), near)
+    blurred: Any = cv2.GaussianBlur(sums, (0, 0), near)
     blurred += 1e-3 * cv2.GaussianBlur(sums, (0, 0), 4 * near)
     blurred += 1e-6 * sums.mean(axis=(0, 1))
     means = blurred[..., 1:] / blurred[..., :1]

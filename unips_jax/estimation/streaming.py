@@ -124,7 +124,8 @@ def estimate_with_lights(
     def values(y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Normalised pixels `[P, padded, 3]`."""
         pixels = np.zeros((y.size, padded, 3), np.float32)
-        seen = linear(images[:, y, x]) * gains[:, None, None]
+        with np.errstate(invalid="ignore"):  # infinity in a black image is NaN
+            seen = linear(images[:, y, x]) * gains[:, None, None]
         pixels[:, :count] = seen.swapaxes(0, 1)
         return pixels
 

@@ -170,7 +170,7 @@ def examine_normals(
     there = _surface(normals, values.dtype.kind == "u", mended, doubts)
     normals = _unit(np.where(there[..., None], normals, 0))
     if there.any() and (normals[..., 2][there] < 0).mean() > 0.95:
-        normals = normals * np.float32(_facing(normals, mended))
+        normals = normals * np.array(_facing(normals, mended), np.float32)
     found = integrability(normals)
     if found < -_SURE:
         doubts.append(_other_axes(normals, found, convention))
@@ -252,7 +252,7 @@ def _surface(
     off = np.abs(length - 1)
     background = some & ~seen & (off > UNIT)
     unit = off < 2 * UNIT
-    share = np.count_nonzero(unit & seen) / max(np.count_nonzero(seen), 1)
+    share = float(np.count_nonzero(unit & seen)) / max(int(np.count_nonzero(seen)), 1)
     if share < 0.6:
         left = np.count_nonzero(some & ~background)
         if encoded and np.count_nonzero(unit & some & ~background) < 0.15 * left:
@@ -296,7 +296,7 @@ def _together(far: np.ndarray, short: np.ndarray, outside: np.ndarray) -> np.nda
 
 def _facing(normals: np.ndarray, mended: list[str]) -> tuple[int, int, int]:
     """Signs that turn normals, nearly all of which face away, to the viewer."""
-    fits = integrability(normals * np.float32([1, 1, -1]))
+    fits = integrability(normals * np.array([1, 1, -1], np.float32))
     x, y = _outwards(normals)
     if max(x, y) < -0.5 and fits > -_SURE:
         mended.append(
