@@ -67,9 +67,10 @@ def saliency(picture: np.ndarray) -> np.ndarray:
     The picture's values are the square root of light, or sRGB, in [0, 1].
     """
     small = cv2.resize(picture, (_INPUT, _INPUT), interpolation=cv2.INTER_AREA)
-    values = (small / max(float(small.max()), 1e-6) - _MEAN) / _DEVIATION
+    scaled = (small / max(float(small.max()), 1e-6) - _MEAN) / _DEVIATION
+    values: Any = scaled.transpose(2, 0, 1)[None].astype(np.float32)
     network = _network()
-    network.setInput(values.transpose(2, 0, 1)[None].astype(np.float32))  # type: ignore[arg-type]
+    network.setInput(values)
     seen = network.forward()[0, 0].copy()
     network.setInput(np.ascontiguousarray(values[..., ::-1]))
     mirrored = network.forward()[0, 0, :, ::-1]
