@@ -93,7 +93,7 @@ def write_photographs(folder: Path, count: int, side: int, mask: np.ndarray) -> 
 
 
 def disc(side: int, pixels: int | None = None) -> np.ndarray:
-    """A round mask, of 55 % of a square or of about so many pixels."""
+    """A round mask, of 55 % of a square, or of about this number of pixels."""
     y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]
     bound = 0.7 if pixels is None else 4 * pixels / (np.pi * side**2)
     return x**2 + y**2 < bound
