@@ -23,11 +23,18 @@ def browser(width=1200, height=800, *, arguments=(), preferences=None):
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
     for argument in (
-        *("--headless=new", "--no-sandbox", "--disable-dev-shm-usage"),
-        *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-        *("--disable-background-networking", "--disable-component-update"),
-        *("--no-first-run", "--force-device-scale-factor=1", "--lang=en-US"),
-        *(f"--window-size={width},{height}", "--hide-scrollbars"),
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--no-first-run",
+        "--force-device-scale-factor=1",
+        "--lang=en-US",
+        f"--window-size={width},{height}",
+        "--hide-scrollbars",
         *arguments,
     ):
         options.add_argument(argument)

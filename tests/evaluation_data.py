@@ -113,8 +113,16 @@ def make_ps_wild_train(root, *, size=16):
 
 
 DILIGENT = (
-    *("ball", "bear", "buddha", "cat", "cow"),
-    *("goblet", "harvest", "pot1", "pot2", "reading"),
+    "ball",
+    "bear",
+    "buddha",
+    "cat",
+    "cow",
+    "goblet",
+    "harvest",
+    "pot1",
+    "pot2",
+    "reading",
 )
 
 
@@ -189,8 +197,20 @@ def make_diligent102(root, *, objects=("BALL_POM", "NUT_AL")):
 
 
 LUCES = (
-    *("Ball", "Bell", "Bowl", "Buddha", "Bunny", "Cup", "Die"),
-    *("Hippo", "House", "Jar", "Owl", "Queen", "Squirrel", "Tool"),
+    "Ball",
+    "Bell",
+    "Bowl",
+    "Buddha",
+    "Bunny",
+    "Cup",
+    "Die",
+    "Hippo",
+    "House",
+    "Jar",
+    "Owl",
+    "Queen",
+    "Squirrel",
+    "Tool",
 )
 
 

@@ -32,7 +32,9 @@ def save(path: Path, rgb: np.ndarray):
         best = {
             ".webp": [cv2.IMWRITE_WEBP_QUALITY, 101],
             ".jpg": [
-                *(cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR),
+                cv2.IMWRITE_JPEG_QUALITY,
+                100,
+                cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
                 cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
             ],
         }

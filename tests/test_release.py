@@ -29,7 +29,9 @@ def test_every_asset_has_a_licence_that_the_package_names():
     licences = {name.rstrip("/"): licence for name, licence in rows}
     assert set(licences) == {p.name for p in ASSETS.iterdir()} - {"LICENSES.md"}
     assert set(re.findall(r"Apache-2.0|MIT|CC0-1.0", VIEWER.read_text())) == {
-        *("Apache-2.0", "CC0-1.0", "MIT")
+        "Apache-2.0",
+        "CC0-1.0",
+        "MIT",
     }
     licences["viewer"] = "MIT"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

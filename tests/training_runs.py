@@ -20,7 +20,7 @@ DATA = DataConfig(
 CONFIG = Config(
     # The least network: what is tested is training, and each run compiles it.
     model=dataclasses.replace(
-        *(SMALL,),
+        SMALL,
         depths=(1,),
         num_heads=(2,),
         communication="none",

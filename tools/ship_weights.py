@@ -66,7 +66,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         "--average", action="store_true", help="ship the mean of FILE and the shipped"
     )
     parser.add_argument(
-        *("-o", "--output"),
+        "-o",
+        "--output",
         type=Path,
         default=Path("dist"),
         metavar="OUT",

@@ -47,7 +47,10 @@ def test_diligent_drops_the_corrupt_images_of_bear(tmp_path):
     benchmark = open_benchmark("diligent", tmp_path, objects=("bear",))
     item = benchmark[0]
     assert [p.name for p in benchmark.entries[0].images] == [
-        *("021.png", "022.png", "023.png", "024.png")
+        "021.png",
+        "022.png",
+        "023.png",
+        "024.png",
     ]
     folder = tmp_path / "pmsData" / "bearPNG"
     directions = np.loadtxt(folder / "light_directions.txt")
@@ -165,7 +168,9 @@ def test_uw_reads_lists_lights_and_the_grey_sphere(tmp_path):
     gray = items["gray"]
     assert gray.images.dtype == np.uint8 and len(gray.images) == 12
     assert [p.name for p in benchmark.entries[2].images][9:] == [
-        *("gray.9.png", "gray.10.png", "gray.11.png")
+        "gray.9.png",
+        "gray.10.png",
+        "gray.11.png",
     ]
     np.testing.assert_allclose(gray.lights.directions, data.lights(12), atol=1e-5)
     mask, normals = data.sphere(30, 32)
@@ -309,12 +314,24 @@ def test_ps_wild_masked_pixels_without_truth_are_left_out_and_reported(tmp_path)
 @pytest.mark.parametrize(
     ("name", "photograph"),
     [
-        *(("L_00.png", True), ("000.tif", True), ("IMG_1.JPG", True)),
-        *(("maskot_1.png", True), ("normandy.jpg", True), ("metallic_ball.png", False)),
-        *(("normal.tif", False), ("Normal_gt.png", False), ("mask.png", False)),
-        *(("buddha.mask.png", False), ("depth.exr", False), ("baseColor.tif", False)),
-        *(("roughness.tif", False), ("metal.tif", False), ("gt_normal.png", False)),
-        *(("._L_00.png", False), ("notes.txt", False), ("scene_gt.png", False)),
+        ("L_00.png", True),
+        ("000.tif", True),
+        ("IMG_1.JPG", True),
+        ("maskot_1.png", True),
+        ("normandy.jpg", True),
+        ("metallic_ball.png", False),
+        ("normal.tif", False),
+        ("Normal_gt.png", False),
+        ("mask.png", False),
+        ("buddha.mask.png", False),
+        ("depth.exr", False),
+        ("baseColor.tif", False),
+        ("roughness.tif", False),
+        ("metal.tif", False),
+        ("gt_normal.png", False),
+        ("._L_00.png", False),
+        ("notes.txt", False),
+        ("scene_gt.png", False),
     ],
 )
 def test_what_is_a_photograph(tmp_path, name, photograph):

@@ -329,17 +329,27 @@ def cases():
 
 def _odd_cases():
     odd_meta = (
-        *(meta(light_directions=[[0, 0, 1]]), meta(light_directions=3)),
-        *(meta(light_directions=[[0, 1]] * 4), meta(light_directions=[[0, 0, 0]] * 4)),
-        *(meta(light_intensities=[[1, 1, 1]]), meta(light_intensities=["a"] * 4)),
-        *(meta(light_intensities=[[0, 1, 1]] * 4), meta(focal="long"), meta(focal=-3)),
+        meta(light_directions=[[0, 0, 1]]),
+        meta(light_directions=3),
+        meta(light_directions=[[0, 1]] * 4),
+        meta(light_directions=[[0, 0, 0]] * 4),
+        meta(light_intensities=[[1, 1, 1]]),
+        meta(light_intensities=["a"] * 4),
+        meta(light_intensities=[[0, 1, 1]] * 4),
+        meta(focal="long"),
+        meta(focal=-3),
     )
     for damage in (*odd_meta, json_list, cut(0.5), empty, noise):
         yield "ps-wild", PS_WILD + "meta.json", damage
     lines = (
-        *((1, ""), (1, "52 12 16 22.5 8 6"), (1, "51 12 16 22.5 8 6 300")),
-        *((1, "52 12 16 0 8 6 300"), (1, "52 12 16 f 8 6 300"), (9, "1 2 3")),
-        *((9, "a b c d e f g h"), (9, "nan 0 0 0 0 -1 1 1")),
+        (1, ""),
+        (1, "52 12 16 22.5 8 6"),
+        (1, "51 12 16 22.5 8 6 300"),
+        (1, "52 12 16 0 8 6 300"),
+        (1, "52 12 16 f 8 6 300"),
+        (9, "1 2 3"),
+        (9, "a b c d e f g h"),
+        (9, "nan 0 0 0 0 -1 1 1"),
     )
     for damage in (*(leds(n, text) for n, text in lines), empty, noise, remove):
         yield "luces", "data/Cup/led_params.txt", damage
@@ -347,9 +357,12 @@ def _odd_cases():
     for damage in (*shapes, pickled, empty, noise, remove, cut(0.6)):
         yield "luces", "data/Cup/zgt.npz", damage
     for kind, name in (
-        *(("diligent", "pmsData/bearPNG"), ("luces", "data/Cup")),
-        *(("uw", "psmImages/gray"), ("diligent-mv", "mvpmsData/cowPNG/view_20")),
-        *(("ps-wild", "directional"), ("folder", "cup")),
+        ("diligent", "pmsData/bearPNG"),
+        ("luces", "data/Cup"),
+        ("uw", "psmImages/gray"),
+        ("diligent-mv", "mvpmsData/cowPNG/view_20"),
+        ("ps-wild", "directional"),
+        ("folder", "cup"),
     ):
         if kind != "folder":
             yield kind, name, missing_folder
@@ -372,8 +385,16 @@ def run(kind, root, workdir):
     chosen = ["--objects", *objects] if objects else []
     return evaluation.main(
         [
-            *("--benchmark", kind, "--root", str(root), "--workdir", str(workdir)),
-            *("--method", "constant", "--no-pictures", *chosen),
+            "--benchmark",
+            kind,
+            "--root",
+            str(root),
+            "--workdir",
+            str(workdir),
+            "--method",
+            "constant",
+            "--no-pictures",
+            *chosen,
         ]
     )
 

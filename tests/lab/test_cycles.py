@@ -214,7 +214,11 @@ def test_a_bad_environment_costs_one_lighting(stand_in, tmp_path, capsys):
 def test_killed_runs_go_on_and_end_with_the_same_bytes(stand_in, tmp_path):
     arguments = ["--objects", "3", "--images", "4", "--size", "24"]
     command = [
-        *("-m", "unips_jax.cli.main", "render", "--engine", "cycles"),
+        "-m",
+        "unips_jax.cli.main",
+        "render",
+        "--engine",
+        "cycles",
         *arguments,
     ]
     assert render.main([*command[3:], "-o", str(tmp_path / "whole")]) == 0

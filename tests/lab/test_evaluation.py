@@ -279,8 +279,14 @@ def test_published_means_are_over_the_objects_evaluated(tmp_path):
 def run(benchmark, root, work, *rest):
     return evaluation.main(
         [
-            *("--benchmark", benchmark, "--root", str(root), "--workdir", str(work)),
-            *("--no-pictures", *rest),
+            "--benchmark",
+            benchmark,
+            "--root",
+            str(root),
+            "--workdir",
+            str(work),
+            "--no-pictures",
+            *rest,
         ]
     )
 

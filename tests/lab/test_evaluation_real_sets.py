@@ -88,8 +88,10 @@ def test_diligent_may_lack_objects_and_has_wrong_masks(real_sets, tmp_path):
         by_group.setdefault(case.group, []).append(case)
     assert {g: [c.name for c in cs] for g, cs in by_group.items()} == dict.fromkeys(
         (
-            *("diligent, 3 images", "diligent, all"),
-            *("diligent, mask -1 px", "diligent, mask +2 px"),
+            "diligent, 3 images",
+            "diligent, all",
+            "diligent, mask -1 px",
+            "diligent, mask +2 px",
         ),
         ["ball", "cow"],
     )

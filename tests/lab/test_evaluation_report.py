@@ -39,9 +39,20 @@ def work(tmp_path_factory):
     (root / "mixed").rename(root / "dusk")  # a lighting the paper does not know
     work = tmp_path_factory.mktemp("work")
     arguments = [
-        *("--benchmark", "ps-wild", "--root", str(root), "--workdir", str(work)),
-        *("--method", "woodham", "constant", "--num-images", "3", "all"),
-        *("--crop-size", "32"),
+        "--benchmark",
+        "ps-wild",
+        "--root",
+        str(root),
+        "--workdir",
+        str(work),
+        "--method",
+        "woodham",
+        "constant",
+        "--num-images",
+        "3",
+        "all",
+        "--crop-size",
+        "32",
     ]
     assert evaluation.main(arguments) == 0
     return work
@@ -50,10 +61,18 @@ def work(tmp_path_factory):
 def browse(page, fragment, profile, *options):
     done = subprocess.run(
         [
-            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu"),
-            *("--disable-background-networking", "--disable-component-update"),
-            *("--disable-sync", "--no-first-run", f"--user-data-dir={profile}"),
-            *("--enable-logging=stderr", *options, page.as_uri() + fragment),
+            CHROMIUM,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-first-run",
+            f"--user-data-dir={profile}",
+            "--enable-logging=stderr",
+            *options,
+            page.as_uri() + fragment,
         ],
         capture_output=True,
         text=True,
@@ -132,7 +151,8 @@ def test_bold_compares_means_over_the_same_objects(work):
     # Least squares ran under directional light alone, where it is ahead.
     objects = best(html, "objects")
     assert objects[:3] == [
-        *(("directional/obj000", [3]), ("directional/obj001", [3])),
+        ("directional/obj000", [3]),
+        ("directional/obj001", [3]),
         ("environment/obj000", []),
     ]
     assert objects[-1] == ("mean", [])
@@ -232,8 +252,16 @@ def result_of(entry, label, *, mae=10.0, reason="", count=None):
     score = Score(60, mae, mae, (0.0,) * 4, tuple(numbers), *views, 0, 0)
     tags = {"object": entry}
     return Result(
-        *(entry, tags, [], label, count, 8),
-        *(None if reason else score, {}, reason, f"{entry}-{label}"),
+        entry,
+        tags,
+        [],
+        label,
+        count,
+        8,
+        None if reason else score,
+        {},
+        reason,
+        f"{entry}-{label}",
     )
 
 
@@ -273,9 +301,12 @@ def test_ablations_are_collapsed():
 
 def test_unsupported_says_why():
     results = results_of(
-        *(result_of("ball", "flat"), result_of("ball", "lit", reason="lit: no lights")),
-        *(result_of("cow", "flat"), result_of("cow", "lit", reason="lit: too few")),
-        *(result_of("mean", "flat"), result_of("mean", "lit", reason="lit: no lights")),
+        result_of("ball", "flat"),
+        result_of("ball", "lit", reason="lit: no lights"),
+        result_of("cow", "flat"),
+        result_of("cow", "lit", reason="lit: too few"),
+        result_of("mean", "flat"),
+        result_of("mean", "lit", reason="lit: no lights"),
     )
     shown = section_of(results, "objects")
     assert shown.notes == ["no lights", "too few"]
@@ -288,9 +319,12 @@ def test_unsupported_says_why():
 
 def test_angles_are_over_common_objects():
     results = results_of(
-        *(result_of("ball", "flat", mae=10.0), result_of("cow", "flat", mae=30.0)),
-        *(result_of("ball", "half", mae=2.0), result_of("cow", "half", reason="no")),
-        *(result_of("ball", "apart", reason="no"), result_of("cow", "apart", mae=5.0)),
+        result_of("ball", "flat", mae=10.0),
+        result_of("cow", "flat", mae=30.0),
+        result_of("ball", "half", mae=2.0),
+        result_of("cow", "half", reason="no"),
+        result_of("ball", "apart", reason="no"),
+        result_of("cow", "apart", mae=5.0),
     )
     tables = {table.name: table for table in summary.tables(results)}
     # The third shares no object with the others, and so has no place beside them.

@@ -20,9 +20,20 @@ def root(tmp_path_factory):
 
 def start(root, work):
     arguments = [
-        *("--benchmark", "ps-wild", "--root", str(root), "--workdir", str(work)),
-        *("--method", "woodham", "constant", "--num-images", "3", "4"),
-        *("--crop-size", "16"),
+        "--benchmark",
+        "ps-wild",
+        "--root",
+        str(root),
+        "--workdir",
+        str(work),
+        "--method",
+        "woodham",
+        "constant",
+        "--num-images",
+        "3",
+        "4",
+        "--crop-size",
+        "16",
     ]
     return subprocess.Popen(
         [sys.executable, "-m", "unips_jax.cli.evaluate", *arguments],

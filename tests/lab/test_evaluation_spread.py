@@ -26,9 +26,17 @@ def results_of(errors, *, seeds=(0,), counts=(None,)):
     """Results of `{(method, object, lighting, count, seed): degrees}`."""
     made = [
         Result(
-            *(f"{lighting}/{name}", {"object": name, "lighting": lighting}, []),
-            *(label, count, count or 9, None if mae is None else scored(mae), {}),
-            *("" if mae is not None else "too dark", f"{label}{name}{seed}", seed),
+            f"{lighting}/{name}",
+            {"object": name, "lighting": lighting},
+            [],
+            label,
+            count,
+            count or 9,
+            None if mae is None else scored(mae),
+            {},
+            "" if mae is not None else "too dark",
+            f"{label}{name}{seed}",
+            seed,
         )
         for (label, name, lighting, count, seed), mae in errors.items()
     ]
@@ -94,7 +102,9 @@ def test_figures_are_means_over_seeds_and_their_deviation_is_said():
     assert spread["Over subsets"] == pytest.approx(np.std([11, 21], ddof=1), abs=1e-4)
     assert spread["From"] < 16 < spread["To"] and spread["Objects"] == 3
     assert [row[:2] for row in tables["objects"].values[:-1]] == [
-        *(["sun/x", "sun"], ["sun/y", "sun"], ["sun/z", "sun"]),
+        ["sun/x", "sun"],
+        ["sun/y", "sun"],
+        ["sun/z", "sun"],
     ]
 
 

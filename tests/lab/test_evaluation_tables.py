@@ -19,7 +19,13 @@ def test_tables_by_hand():
         tags = {"object": entry, "lighting": lighting, "category": entry[:1]}
         given = {"measures": {}, "unsupported": "", **rest}
         return runner.Result(
-            *(entry, tags, (), label, count, 2, score),
+            entry,
+            tags,
+            (),
+            label,
+            count,
+            2,
+            score,
             **given,
             name=f"{entry}-{label}-{count}",
         )
@@ -34,7 +40,11 @@ def test_tables_by_hand():
             result("x2", "sun", "a", 2, score_of(70, 5, 1, 0, 70, 0)),
             result("y", "sky", "a", 2, None),
             result(
-                *("x1", "sun", "a", None, score_of(10, 6, 10, 30, 60, 340)),
+                "x1",
+                "sun",
+                "a",
+                None,
+                score_of(10, 6, 10, 30, 60, 340),
                 measures={"light": 3.0},
             ),
             result("x2", "sun", "a", None, score_of(20, 8, 40, 0, 800, 0)),
@@ -46,8 +56,18 @@ def test_tables_by_hand():
     )
     tables = {table.name: table for table in summary.tables(results)}
     assert tables["summary"].names == [
-        *("Method", "Images", "Source", "sun", "sky", "Mean", "Median"),
-        *("% < 5", "% < 11.25", "% < 22.5", "% < 30", "Objects"),
+        "Method",
+        "Images",
+        "Source",
+        "sun",
+        "sky",
+        "Mean",
+        "Median",
+        "% < 5",
+        "% < 11.25",
+        "% < 22.5",
+        "% < 30",
+        "Objects",
     ]
     assert tables["summary"].values == [
         ["a", "all", "this run", 15, 9, 13, 5, 13, 26, 39, 52, "3 of 3"],

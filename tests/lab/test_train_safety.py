@@ -232,7 +232,8 @@ def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
     on = [CONFIG.train.validation_scenes, CONFIG.train.validation_images]
     assert record == {"best_mae_deg": 20, "best_step": 7, "best_on": on}
     assert [(name, step, scores["mae"]) for name, step, scores in written] == [
-        *(("best.safetensors", 5, 30), ("best.safetensors", 7, 20)),
+        ("best.safetensors", 5, 30),
+        ("best.safetensors", 7, 20),
     ]
     fewer = dataclasses.replace(CONFIG.train, validation_images=1)
     run(dataclasses.replace(CONFIG, train=fewer), (10, 35.0), (11, 36.0))

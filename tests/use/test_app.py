@@ -693,12 +693,10 @@ def test_a_film_becomes_photographs(tmp_path):
         for page in pages:
             film.write(page, photometric="rgb", contiguous=False)
     tifffile.imwrite(tmp_path / "one.tif", pages[0], photometric="rgb")
-    found = work.look(
-        *(tmp_path / "film.tif", tmp_path / "t.jpg", 10**6), report=silent
-    )
+    found = work.look(tmp_path / "film.tif", tmp_path / "t.jpg", 10**6, report=silent)
     assert found == {"frames": [f"film_page_{n:03}.tif" for n in (1, 2, 3)]}
     assert (tmp_path / "film_page_003.tif").exists()
-    facts = work.look(*(tmp_path / "one.tif", tmp_path / "t.jpg", 10**6), report=silent)
+    facts = work.look(tmp_path / "one.tif", tmp_path / "t.jpg", 10**6, report=silent)
     assert (facts["width"], facts["height"]) == (30, 20)
     assert (tmp_path / "t.jpg").exists()
 

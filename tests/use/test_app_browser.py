@@ -50,8 +50,14 @@ class Server:
         self.results = results
         self.process = subprocess.Popen(
             [
-                *(sys.executable, "-m", "unips_jax", "app", "--no-show"),
-                *("--results", str(results), *options),
+                sys.executable,
+                "-m",
+                "unips_jax",
+                "app",
+                "--no-show",
+                "--results",
+                str(results),
+                *options,
             ],
             stdout=subprocess.PIPE,
             text=True,

@@ -97,11 +97,15 @@ def hdr(path):
 @pytest.mark.parametrize(
     ("suffix", "write"),
     [
-        *((".exr", exr_with_display_window), (".exr", exr_with_data_window)),
-        *((".png", png_of_zeros), (".tif", tiff_of_one_huge_tile)),
+        (".exr", exr_with_display_window),
+        (".exr", exr_with_data_window),
+        (".png", png_of_zeros),
+        (".tif", tiff_of_one_huge_tile),
         (".bmp", patched("BMP", 18, "<ii", HUGE, HUGE)),
         (".gif", patched("GIF", 6, "<HH", 65_535, 65_535)),
-        *((".jpg", jpeg), (".pgm", pnm), (".hdr", hdr)),
+        (".jpg", jpeg),
+        (".pgm", pnm),
+        (".hdr", hdr),
     ],
 )
 def test_huge_sizes_are_refused_by_the_header(tmp_path, suffix, write):

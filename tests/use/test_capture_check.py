@@ -279,7 +279,10 @@ def test_files_that_do_not_fit_together(folder, capsys):
     assert first == second
     kinds = {finding["kind"]: finding for finding in first["findings"]}
     assert list(kinds) == [
-        *("unreadable", "mixed sizes", "mixed orientations", "mixed types"),
+        "unreadable",
+        "mixed sizes",
+        "mixed orientations",
+        "mixed types",
     ]
     assert kinds["mixed sizes"]["files"] == ["1.jpg"]
     assert (

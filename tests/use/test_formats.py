@@ -156,8 +156,21 @@ def test_cut_and_altered_tiffs(tmp_path, compression, tile):
 def test_pngs(tmp_path):
     palette = np.random.default_rng(1).integers(0, 256, (16, 3), dtype=np.uint8)
     for kind, bits in (
-        *((0, 1), (0, 2), (0, 4), (0, 8), (0, 16), (2, 8), (2, 16)),
-        *((3, 1), (3, 2), (3, 4), (3, 8), (4, 8), (4, 16), (6, 8), (6, 16)),
+        (0, 1),
+        (0, 2),
+        (0, 4),
+        (0, 8),
+        (0, 16),
+        (2, 8),
+        (2, 16),
+        (3, 1),
+        (3, 2),
+        (3, 4),
+        (3, 8),
+        (4, 8),
+        (4, 16),
+        (6, 8),
+        (6, 16),
     ):
         channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[kind]
         dtype = np.uint16 if bits == 16 else np.uint8
@@ -194,9 +207,17 @@ def test_transparent_colours_of_png(tmp_path):
 @pytest.mark.parametrize(
     ("suffix", "mode"),
     [
-        *((".bmp", "1"), (".bmp", "L"), (".bmp", "P"), (".bmp", "RGB")),
-        *((".bmp", "RGBA"), (".gif", "1"), (".gif", "L"), (".gif", "P")),
-        *((".pbm", "1"), (".pgm", "L"), (".ppm", "RGB")),
+        (".bmp", "1"),
+        (".bmp", "L"),
+        (".bmp", "P"),
+        (".bmp", "RGB"),
+        (".bmp", "RGBA"),
+        (".gif", "1"),
+        (".gif", "L"),
+        (".gif", "P"),
+        (".pbm", "1"),
+        (".pgm", "L"),
+        (".ppm", "RGB"),
     ],
 )
 def test_other_bitmaps(tmp_path, suffix, mode):

@@ -62,8 +62,25 @@ def write(folder, record):
 
 
 ODD = [
-    *(None, True, -1, 0, 1e308, 10**400, float("nan"), float("inf"), "", "x" * 5000),
-    *([], [[]], {}, {"a": {}}, "/dev/zero", "../../etc/passwd", "a\0b", "\ud800", "\n"),
+    None,
+    True,
+    -1,
+    0,
+    1e308,
+    10**400,
+    float("nan"),
+    float("inf"),
+    "",
+    "x" * 5000,
+    [],
+    [[]],
+    {},
+    {"a": {}},
+    "/dev/zero",
+    "../../etc/passwd",
+    "a\0b",
+    "\ud800",
+    "\n",
 ]
 
 

@@ -252,9 +252,16 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
     out = tmp_path / "out" / "thing"
     record = json.loads((out / "normals.json").read_text())
     beyond = {
-        *("lights.json", "lights.lp", "base_color.exr", "base_color.png"),
-        *("relight.ptm", "confidence.exr", "confidence.png", "unreliable.png"),
-        *("info.json", *(f"plane_{index}.jpg" for index in range(6))),
+        "lights.json",
+        "lights.lp",
+        "base_color.exr",
+        "base_color.png",
+        "relight.ptm",
+        "confidence.exr",
+        "confidence.png",
+        "unreliable.png",
+        "info.json",
+        *(f"plane_{index}.jpg" for index in range(6)),
     }
     assert beyond <= set(record["files"])
     assert record["rti"]["psnr_db"] > 20

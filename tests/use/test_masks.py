@@ -14,8 +14,10 @@ from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
 
 FORMATS = [
-    *((".png", np.uint8), (".png", np.uint16)),
-    *((".tif", np.uint8), (".webp", np.uint8)),
+    (".png", np.uint8),
+    (".png", np.uint16),
+    (".tif", np.uint8),
+    (".webp", np.uint8),
 ]
 
 
@@ -105,7 +107,9 @@ def lit_disc(folder, suffix=".png", dtype=np.uint8, background=0):
 @pytest.mark.parametrize(
     ("suffix", "dtype", "background"),
     [
-        *((".png", np.uint8, 0), (".png", np.uint8, 2), (".png", np.uint16, 0)),
+        (".png", np.uint8, 0),
+        (".png", np.uint8, 2),
+        (".png", np.uint16, 0),
         (".exr", np.float32, 0),
     ],
 )

@@ -46,7 +46,9 @@ def test_a_folder_comes_back_with_what_was_trained(network, seen, tmp_path):
     folder = tmp_path / "mine"
     model.save_pretrained(folder, record={"step": 3})
     assert sorted(path.name for path in folder.iterdir()) == [
-        *("README.md", "config.json", "model.safetensors")
+        "README.md",
+        "config.json",
+        "model.safetensors",
     ]
     config = json.loads((folder / "config.json").read_text())
     assert config["kind"] == "SelfCalibratingConfig"
