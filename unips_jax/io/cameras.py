@@ -24,17 +24,13 @@ _ADVICE = "export what StructureFromMotion gives"
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """One pose of an SfMData file, and the camera that was there.
+    """One pose of an SfMData file, with its camera.
 
-    Attributes:
-        pose: its number, as text.
-        view: the number of the pose's first view.
-        photographs: files of all its views.
-        size: of its pictures: width, height.
-        matrix: K, `[3, 3]`, for pictures of that size.
-        rotation: R, `[3, 3]`.
-        center: C, `[3]`.
-        distorted: whether the file gives distortions, which K has not.
+    `photographs` are the files of all its views, `view` the number of the first; `size`
+    is
+    width and height; `matrix` (K) is `[3, 3]`, `rotation` (R) `[3, 3]`, `center` (C)
+    `[3]`.
+    `distorted`: the file gives distortions, which K leaves out.
     """
 
     pose: str
@@ -58,11 +54,7 @@ class Camera:
 
 
 def read_sfm_data(file: Path) -> tuple[list[Camera], dict[str, Any]]:
-    """The cameras of an SfMData file, sorted by pose, and its content.
-
-    Raises:
-        InputError: if it is none, or has no poses.
-    """
+    """The cameras of an SfMData file, at least one, sorted by pose; and its content."""
     try:
         content = json.loads(file.read_text("utf-8"))
         cameras = _cameras(content, file.resolve().parent)
@@ -128,16 +120,11 @@ def sfm_data_of(
     files: Sequence[str],
     sizes: Sequence[tuple[int, int]],
 ) -> dict[str, Any]:
-    """SfMData with one view for each camera: a picture of its own, of a size.
+    """SfMData with one view for each camera: its file, of a size (width, height).
 
-    Intrinsics are scaled, and those of other views left out, as are observations of
-    points, which are of the photographs.
-
-    Args:
-        content: from `read_sfm_data`.
-        cameras: of that file.
-        files: a picture for each.
-        sizes: theirs: width, height.
+    Intrinsics are scaled; left out are those of other views, and observations of
+    points,
+    which belong to the photographs.
     """
     lenses: dict[tuple[str, tuple[int, int]], dict[str, Any]] = {}
     views = []
@@ -184,10 +171,7 @@ def enclosing_sphere(
     """A sphere around the object, from where masks `[H, W]` see it: middle, radius.
 
     Its middle is closest to the rays through the middles of the masks' boxes; in every
-    view it covers the mask.
-
-    Raises:
-        InputError: if views are fewer than two or look along the same line.
+    view it covers the mask. `InputError` where all views look along one line.
     """
     rays = []
     for camera, mask in zip(cameras, masks, strict=True):
@@ -227,12 +211,11 @@ def idr_cameras(
     center: np.ndarray,
     radius: float,
 ) -> dict[str, np.ndarray]:
-    """Arrays of a `cameras.npz`: `world_mat_i` and `scale_mat_i`, `[4, 4]`.
+    """Arrays of a `cameras.npz`, `[4, 4]`.
 
-    The first takes points of the world to pixels, the second the unit sphere to the one
-    around the object.
-
-    Source: https://github.com/lioryariv/idr, DATA_CONVENTION.md.
+    `world_mat_i` takes points of the world to pixels, `scale_mat_i` the unit sphere to
+    the
+    one around the object. Source: https://github.com/lioryariv/idr, DATA_CONVENTION.md.
     """
     scale = np.diag([radius, radius, radius, 1.0])
     scale[:3, 3] = center

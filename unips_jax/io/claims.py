@@ -24,15 +24,8 @@ _LONGEST = 120  # characters of a name, of which there may be 255 bytes
 def claim(lock: Path, *, wait: bool = False) -> Iterator[bool]:
     """Claims a piece of work until the block ends, or the process does.
 
-    Args:
-        lock: a file that stands for the work; made if it is not there, never removed.
-        wait: until nobody else has it.
-
-    Yields:
-        Whether it is ours.
-
-    Raises:
-        InputError: if the file system has no locks.
+    `lock` is a file that stands for the work, never removed. Yields whether it is ours;
+    with `wait`, once nobody else has it.
     """
     ours = FileLock(lock, timeout=-1 if wait else 0, fallback_to_soft=False)
     try:
@@ -67,15 +60,9 @@ def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Writes a file that is complete or absent, whatever happens.
+    """Writes a file, and its folder, that is complete or absent, whatever happens.
 
-    A temporary file in its folder is written first, which a killed process may leave.
-
-    Args:
-        path: the file; its folder is made if it is not there.
-
-    Raises:
-        InputError: if it cannot be written; what was there before stays.
+    A killed process may leave a temporary file in the folder.
     """
     # Any name may be as long as names can be.
     temporary = path.parent / f".{_digest(path.name)}.{os.getpid()}.tmp"
@@ -99,11 +86,7 @@ def write_whole(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Names what was being written when the file system refuses.
-
-    Raises:
-        InputError: in place of an OSError.
-    """
+    """Turns an OSError into an `InputError` that names what was being written."""
     try:
         yield
     except OSError as error:
@@ -114,14 +97,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def make_folder(path: Path, option: str) -> None:
-    """Makes a folder, unless it is there.
-
-    Args:
-        option: of the command line that gave it.
-
-    Raises:
-        InputError: if it cannot be made or written to.
-    """
+    """Makes a folder that may be written to, which a command line's `option` named."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -15,11 +15,7 @@ _ALIKE = 0.01  # of linear light: sRGB and a gamma of 2.2 differ by 0.009 at mos
 
 
 def as_float(image: np.ndarray) -> np.ndarray:
-    """An image's values in float32; integers are divided by their type's largest.
-
-    Args:
-        image: uint8, uint16 or float32, of any shape.
-    """
+    """An image's values in float32; integers are divided by their type's largest."""
     if image.dtype.kind == "u":
         return image.astype(np.float32) / np.iinfo(image.dtype).max
     return image.astype(np.float32, copy=False)
@@ -29,11 +25,8 @@ def as_float(image: np.ndarray) -> np.ndarray:
 class Encoding:
     """How a file's values encode light, and by which rule that is known.
 
-    Attributes:
-        transfer: the transfer function.
-        rule: where that is known from.
-        table: of integers: what each value is to be replaced by, so that the transfer
-            function holds; None where it holds already.
+    `table` holds what each integer is to be replaced by so that the transfer function
+    holds; None where it holds already.
     """
 
     transfer: Transfer
@@ -127,10 +120,8 @@ def encoding_of(
 def icc_curve(profile: bytes) -> np.ndarray | None:
     """Linear light over 1024 values from 0 to 1, by a profile's (green) tone curve.
 
-    Source: ICC.1:2022, 9.2 (tags), 10.6 `curveType`, 10.18 `parametricCurveType`.
-
-    Returns:
-        `[1024]`; None where the profile has no such curve, or is damaged.
+    None where the profile has no such curve, or is damaged. Source: ICC.1:2022, 9.2
+    (tags), 10.6 `curveType`, 10.18 `parametricCurveType`.
     """
     try:
         (count,) = struct.unpack_from(">I", profile, 128)
@@ -190,11 +181,7 @@ def _encoding(
 
 
 def as_linear(image: np.ndarray, transfer: Transfer) -> np.ndarray:
-    """Values of linear light, float32, in [0, 1] for integers.
-
-    Args:
-        image: uint8, uint16 or float32, of any shape.
-    """
+    """Values of linear light, float32, in [0, 1] for integers."""
     values = as_float(image)
     if transfer == "srgb":
         low = values / 12.92
@@ -204,10 +191,6 @@ def as_linear(image: np.ndarray, transfer: Transfer) -> np.ndarray:
 
 
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
-    """The sRGB transfer function (IEC 61966-2-1): linear to display values.
-
-    Args:
-        linear: values in [0, 1]; others are clipped.
-    """
+    """The sRGB transfer function (IEC 61966-2-1); linear values are clipped to [0, 1]."""
     x = np.clip(linear, 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)

@@ -36,7 +36,6 @@ class ImageFile:
     """An image file, read.
 
     Attributes:
-        path: of the file.
         pixels: `[H, W, C]`, C = 3 (RGB) or 1 (grey), uint8, uint16 or float32.
         alpha: `[H, W]`, of the same type; None where there is none.
         orientation: by EXIF, 1 (upright) to 8, applied already.
@@ -63,12 +62,7 @@ class ImageFile:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Reads an image's pixels: `[H, W, 1 or 3]`, as in `ImageFile`, all finite.
-
-    Raises:
-        InputError: if the file cannot be read, is damaged, is of a kind that is not
-            read, or has values that are not finite.
-    """
+    """Reads an image's pixels: `[H, W, 1 or 3]`, as in `ImageFile`, all finite."""
     file = read_image_file(path)
     require_finite(path, file.pixels)
     return file.pixels
@@ -79,23 +73,14 @@ def read_image_file(
 ) -> ImageFile:
     """Reads an image file. Values need not be finite.
 
-    Args:
-        vectors: it is a normal map: EXR channels X, Y, Z are taken too.
-
-    Raises:
-        InputError: if the file cannot be read, is damaged, too large or of a kind that
-            is not read.
+    With `vectors` it is a normal map: EXR channels X, Y, Z are taken too.
     """
     data = read_bytes(path, max_pixels=max_pixels)
     return decode_image(data, path, vectors=vectors, max_pixels=max_pixels)
 
 
 def read_bytes(path: Path, *, max_pixels: int = MAX_PIXELS) -> bytes:
-    """The contents of an image file.
-
-    Raises:
-        InputError: if it cannot be read, is empty, too large or no regular file.
-    """
+    """The contents of an image file, which is regular, not empty and not too large."""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
@@ -123,11 +108,7 @@ def decode_image(
     vectors: bool = False,
     max_pixels: int = MAX_PIXELS,
 ) -> ImageFile:
-    """Decodes an image file's contents. Arguments as in `read_image_file`.
-
-    Raises:
-        InputError: if the file is damaged, too large or of a kind that is not read.
-    """
+    """Decodes an image file's contents, as `read_image_file` does."""
     header = _header(data, path, vectors, max_pixels)
     pixels, alpha = _decoded(header, path)
     diagonal = math.hypot(header.height, header.width)
@@ -142,21 +123,15 @@ def decode_image(
 
 
 def image_header(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -> Encoded:
-    """What an image file's header says; pixels are not decoded.
-
-    Raises:
-        InputError: as `decode_image`.
-    """
+    """What an image file's header says; pixels are not decoded."""
     return _header(data, path, False, max_pixels)
 
 
 def check_image(data: bytes, path: Path) -> tuple[int, int, int, np.dtype]:
     """Height, width, channels and type of an image, which is checked to be whole.
 
-    A PNG is checked by the checksums of its chunks; other formats are decoded.
-
-    Raises:
-        InputError: as `decode_image`, or if values are not finite.
+    A PNG is checked by the checksums of its chunks; other formats are decoded, and
+    their values are finite.
     """
     header = _header(data, path, False, MAX_PIXELS)
     if not header.checked:
@@ -178,23 +153,14 @@ def require_finite(path: Path, values: np.ndarray) -> None:
 
 
 def encode_image(suffix: str, pixels: np.ndarray) -> bytes:
-    """An image file's contents.
-
-    Args:
-        suffix: `.png`, `.jpg`, `.tif`: chooses the format.
-        pixels: `[H, W, 3]` (RGB) or `[H, W]`, uint8 or uint16.
-    """
+    """A file's contents by its suffix; `[H, W, 3]` (RGB) or `[H, W]`, uint8 or uint16."""
     if pixels.ndim == 3:
         pixels = pixels[..., ::-1]
     return cv2.imencode(suffix, np.ascontiguousarray(pixels))[1].tobytes()
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Writes an image file, under names of any characters, and its folder.
-
-    Args:
-        path: where; the suffix chooses the format.
-    """
+    """Writes an image in its suffix's format, under any name; makes its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(encode_image(path.suffix, pixels))
 
@@ -202,11 +168,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 def write_exr(
     path: Path, channels: Mapping[str, np.ndarray], comments: str = ""
 ) -> None:
-    """Writes channels of float32 as a compressed OpenEXR file.
-
-    Raises:
-        OSError: if the file system refuses.
-    """
+    """Writes channels of float32 as a compressed OpenEXR file; OSErrors pass."""
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     if comments:
         header["comments"] = comments
@@ -217,11 +179,7 @@ def write_exr(
 
 
 def check_picture(path: Path, option: str) -> None:
-    """Refuses what `write_image` could not write, before there is a picture.
-
-    Raises:
-        InputError: naming the option.
-    """
+    """Refuses what `write_image` could not write, before there is a picture."""
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".tif"):
         raise InputError(
             f"{option}: expected a file ending in .png, .jpg or .tif, got {path}"

@@ -37,10 +37,8 @@ _STYLES = (  # with commas between numbers, those in numbers need blanks besides
 class LightList:
     """What a list of lights says.
 
-    Attributes:
-        names: of photographs, without their folders.
-        lights: `[N, 3]`, directions, or `[N, 2]`, pixels; as they are written.
-        problems: what could not be used, one line each.
+    `names` are without folders; `lights` `[N, 3]`, directions, or `[N, 2]`, pixels, as
+    written; `problems` what could not be used, a line each.
     """
 
     names: tuple[str, ...]
@@ -49,11 +47,7 @@ class LightList:
 
 
 def read_light_list(path: Path) -> LightList:
-    """Reads a list of lights; lines that are none become problems.
-
-    Raises:
-        InputError: if the file cannot be read.
-    """
+    """Reads a list of lights; lines that are none become problems."""
     try:
         with path.open("rb") as opened:
             data = opened.read(_LIMIT)

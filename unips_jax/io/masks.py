@@ -20,16 +20,12 @@ _LEVEL = 1 / 16
 
 
 def read_mask(path: Path) -> np.ndarray:
-    """Reads a mask: `[H, W]` bool; see `mask_of`.
-
-    Raises:
-        InputError: if the file cannot be read, or nothing is inside.
-    """
+    """Reads a mask: `[H, W]` bool; see `mask_of`."""
     return mask_of(read_image_file(path))
 
 
 def mask_of(file: ImageFile) -> np.ndarray:
-    """What a mask's image marks: `[H, W]` bool.
+    """What a mask's image marks, at least a pixel: `[H, W]` bool.
 
     Inside is where the brightest channel is above half of the image's largest value,
     whatever that is. So neither the noise of a JPEG nor a soft edge counts as object.
@@ -37,9 +33,6 @@ def mask_of(file: ImageFile) -> np.ndarray:
     Where transparency varies, the same rule for alpha must hold too. If what it leaves
     is no mask itself (nine in ten pixels nearly black or nearly the brightest, both
     met) but one colour or a cut-out photograph, alpha alone decides.
-
-    Raises:
-        InputError: if nothing is inside, or values are not finite.
     """
     require_finite(file.path, file.pixels)
     values = file.pixels.max(axis=-1)
@@ -58,20 +51,14 @@ def mask_of(file: ImageFile) -> np.ndarray:
 
 
 def above_half(values: np.ndarray) -> np.ndarray:
-    """Where values are above half of their largest: bool, of the same shape.
-
-    Args:
-        values: not empty; nothing is above half of 0.
-    """
+    """Where values are above half of their largest (of 0, nowhere)."""
     return values > values.max() / 2
 
 
 def mask_box(mask: np.ndarray, margin: int = 0) -> tuple[slice, slice]:
-    """Rows and columns of a mask's bounding box.
+    """Rows and columns of the box around a mask `[H, W]` that is not empty.
 
-    Args:
-        mask: `[H, W]`, bool, with at least one pixel.
-        margin: pixels more on each side, where the image has them.
+    `margin` pixels more are taken on each side, where the image has them.
     """
     box = []
     for axis in (1, 0):
@@ -84,8 +71,7 @@ def mask_box(mask: np.ndarray, margin: int = 0) -> tuple[slice, slice]:
 def lit_pixels(brightest: np.ndarray) -> np.ndarray:
     """Where photographs show something: not black, in 8 bits nor nearly so next to it.
 
-    Args:
-        brightest: `[H, W]`, the largest value over photographs and colours.
+    `brightest` is `[H, W]`, the largest value over photographs and colours.
     """
     if brightest.dtype != np.uint8:
         return brightest > 0
@@ -97,11 +83,8 @@ def lit_without_mask(brightest: np.ndarray, transfer: Transfer) -> np.ndarray:
 
     Black is 0.06% of white, the brightest 0.5%. What is nearly so is black next to it,
     up to 1.4%, or, where most of the frame is dark, to what its noise reaches; then
-    also what lies along the frame. All in light: the bits do not matter.
-
-    Args:
-        brightest: `[H, W]`, the largest value over photographs and colours.
-        transfer: how its values encode light.
+    also what lies along the frame. All in light: the bits do not matter. `brightest` as
+    in `lit_pixels`.
     """
     light = as_linear(brightest, transfer)
     white = float(np.percentile(light, 99.5)) or 1.0

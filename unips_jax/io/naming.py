@@ -24,9 +24,8 @@ _BETTER = (  # of a photograph in two formats; a camera's raw file is the best
 def each_once(files: list[Path], left_out: dict[str, list[str]]) -> list[Path]:
     """Each photograph once: of two formats the one that most have, or the better.
 
-    Args:
-        files: photographs; those of one name but different suffix are the same.
-        left_out: receives the others' names, by reason.
+    Names that differ in their suffix alone are one photograph. `left_out` receives the
+    others' names, by reason.
     """
     stems: dict[str, list[Path]] = {}
     for file in files:

@@ -73,16 +73,9 @@ class Examined(NamedTuple):
 def read_normal_map(
     path: Path, convention: NormalMap = "opengl", *, as_stored: bool = False
 ) -> Examined:
-    """Reads and examines a normal map, an array, or a folder of results.
+    """Reads and examines an image, a `.npy`, or a folder of results, always opengl.
 
-    Args:
-        path: an image, a `.npy`, or a folder with `normals.npy`, whose convention is
-            always opengl.
-        convention: of the axes.
-        as_stored: believe the values: nothing is mended or doubted.
-
-    Raises:
-        InputError: if there are none, or no pixel has a normal.
+    With `as_stored` the values are believed: nothing is mended or doubted.
     """
     if path.is_dir():
         if (path / RECORD).exists():
@@ -184,14 +177,11 @@ def examine_normals(
 
 
 def integrability(normals: np.ndarray) -> float:
-    """The correlation of dp/dy and dq/dx: above 0 where normals are a surface's.
+    """The correlation of dp/dy and dq/dx, above 0 where normals are a surface's.
 
-    Args:
-        normals: `[H, W, 3]`, x right, y up, z towards the viewer, 0 where none.
-
-    Returns:
-        From -1 to 1; 0 where fewer than 200 squares of 2 x 2 pixels have normals that
-        are not steep.
+    From -1 to 1; 0 where fewer than 200 squares of 2 x 2 pixels have normals that are
+    not
+    steep. `normals` are `[H, W, 3]`, 0 where none.
     """
     fine = normals[..., 2] > _STEEP
     z = np.where(fine, normals[..., 2], 1)

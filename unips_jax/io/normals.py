@@ -48,10 +48,9 @@ def write_normals(
 ) -> None:
     """Writes `normals.png` and `normals.npy`, and on request `.exr` and `.mat`.
 
-    Args:
-        normals: `[H, W, 3]`, float32, unit length or 0.
-        mat: also write `normals.mat`, for MATLAB, key `Normal_est`.
-        normal_map: convention of the PNG and the EXR.
+    `normals.mat` is for MATLAB, key `Normal_est`. `normal_map`: the convention of the
+    PNG
+    and the EXR.
     """
     turned = turn_normals(normals, normal_map)
     write_image(folder / "normals.png", encode_normals(turned))
@@ -77,9 +76,7 @@ def _write_in_memory(path: Path, write: Callable[[io.BytesIO], None]) -> None:
 def encode_normals(normals: np.ndarray) -> np.ndarray:
     """Normals as 16-bit colours: `[H, W, 3]` uint16; see the module.
 
-    Args:
-        normals: `[H, W, 3]`, components in [-1, 1]; 0 where there is none. What is not
-            finite becomes 0.
+    Components in [-1, 1]; what is not finite becomes 0.
     """
     values = np.array(normals, np.float32)
     np.nan_to_num(values, copy=False, nan=0, posinf=0, neginf=0)
@@ -89,11 +86,7 @@ def encode_normals(normals: np.ndarray) -> np.ndarray:
 
 
 def decode_normals(values: np.ndarray) -> np.ndarray:
-    """Normals from a normal map's values: `[H, W, 3]` float32, not normalised.
-
-    Args:
-        values: `[H, W, 3]`, uint8, uint16, or float32, which holds normals already.
-    """
+    """Normals, not normalised, of a map in uint8 or uint16; float32 holds them already."""
     if values.dtype == np.float32:
         return values
     top = np.iinfo(values.dtype).max
@@ -103,24 +96,14 @@ def decode_normals(values: np.ndarray) -> np.ndarray:
 
 
 def read_normals(path: Path) -> np.ndarray:
-    """Reads a normal map: `[H, W, 3]`, float32, as stored: not normalised.
-
-    Args:
-        path: an image of 8 or 16 bits, or a float EXR or TIFF.
-
-    Raises:
-        InputError: if the image cannot be read or has not three channels of finite
-            values.
+    """Reads a map: `[H, W, 3]`, float32, finite, not normalised; 8 or 16 bits, or
+    floats.
     """
     return normals_of(read_image_file(path, vectors=True))
 
 
 def read_numbers(path: Path) -> np.ndarray:
-    """Reads a `.npy` file of numbers, in its own type.
-
-    Raises:
-        InputError: if it is none.
-    """
+    """Reads a `.npy` file of numbers, in its own type."""
     try:
         regular = stat.S_ISREG(path.stat().st_mode)
         if regular:
@@ -139,11 +122,7 @@ def read_numbers(path: Path) -> np.ndarray:
 
 
 def normals_of(file: ImageFile) -> np.ndarray:
-    """What a normal map's image holds; see `read_normals`.
-
-    Raises:
-        InputError: if it has not three channels of finite values.
-    """
+    """What a normal map's image holds; see `read_normals`."""
     if file.pixels.shape[2] != 3:
         raise InputError(
             f"{file.path}: expected a normal map of 3 channels, got {file.channels}"
@@ -153,19 +132,11 @@ def normals_of(file: ImageFile) -> np.ndarray:
 
 
 def has_unit_length(normals: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
-    """PS-Wild's rule for the object's pixels, | 1 - |n| | < 1e-3: `[H, W]`, bool.
-
-    Args:
-        normals: `[H, W, 3]`.
-    """
+    """PS-Wild's rule for the object's pixels, | 1 - |n| | < 1e-3: `[H, W]`, bool."""
     length = np.linalg.norm(normals.astype(np.float64), axis=-1)
     return np.abs(1 - length) < tolerance
 
 
 def turn_normals(normals: np.ndarray, normal_map: NormalMap) -> np.ndarray:
-    """Normals of arrays as those of a map's convention, and back.
-
-    Args:
-        normals: `[..., 3]`.
-    """
+    """Normals of arrays as those of a map's convention, and back."""
     return normals * np.array(_SIGNS[normal_map], normals.dtype)

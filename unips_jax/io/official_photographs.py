@@ -31,20 +31,16 @@ def read_official(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Reads photographs as the authors' reader does.
 
-    Args:
-        selection: what to read. With a `normal.tif` among the photographs, the mask
-            of a folder without its own is where these normals have unit length. A
-            training folder (photographs `0*` and `normal.tif`) is not cropped.
-        size: side of the result in pixels.
+    With a `normal.tif` among the photographs, the mask of a folder without its own is
+    where these normals have unit length. A training folder (photographs `0*` and
+    `normal.tif`) is not cropped.
 
     Returns:
-        images `[N, size, size, 3]` (float32, linear RGB, mean 1 inside the mask and 0
-        outside), mask `[size, size]` (bool), and normals `[size, size, 3]` (float32,
-        as stored) or None.
-
-    Raises:
-        InputError: if a file cannot be used, sizes or orientations differ, or an
-            image is black inside the mask.
+        images `[N, size, size, 3]` (float32, linear RGB, mean 1 inside the mask, where
+        no
+        image may be black, and 0 outside), mask `[size, size]` (bool), and normals
+        `[size,
+        size, 3]` (float32, as stored) or None.
     """
     first = read(selection.files[0])
     shape = first.pixels.shape[:2]
@@ -77,11 +73,11 @@ def read_official(
 
 
 def official_crop(mask: np.ndarray) -> tuple[slice, slice]:
-    """The authors' crop around a mask: rows and columns.
+    """The authors' crop around a mask `[H, W]`: rows and columns.
 
-    Args:
-        mask: `[H, W]`, bool. If its bounding box with a margin of 4 pixels does not
-            stay strictly inside the image, nothing is cropped.
+    If its bounding box with a margin of 4 pixels does not stay strictly inside the
+    image,
+    nothing is cropped.
     """
     if not mask.any():
         return slice(None), slice(None)

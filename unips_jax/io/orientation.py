@@ -17,11 +17,7 @@ _ALIKE, _CLEARLY = 0.3, 0.15  # correlations
 
 
 def oriented_as(file: ImageFile, first: ImageFile, image: np.ndarray) -> ImageFile:
-    """A photograph turned as the first: as stored, or as shown, whichever fits.
-
-    Raises:
-        InputError: if neither fits clearly.
-    """
+    """A photograph turned as the first: as stored or as shown, what clearly fits."""
     stored = as_oriented(file, first.orientation)
     as_stored, as_shown = (_likeness(f.pixels, image) for f in (stored, file))
     if max(as_stored, as_shown) < _ALIKE or abs(as_stored - as_shown) < _CLEARLY:
@@ -43,11 +39,7 @@ def require_orientation(file: ImageFile, first: ImageFile) -> None:
 
 
 def as_oriented(file: ImageFile, orientation: int) -> ImageFile:
-    """The same file, turned as if its EXIF orientation were another.
-
-    Args:
-        orientation: 1 (as stored) to 8.
-    """
+    """The same file, turned as if EXIF had said so: from 1 (as stored) to 8."""
 
     def again(image: np.ndarray) -> np.ndarray:
         return turned(_turned_back(image, file.orientation), orientation)

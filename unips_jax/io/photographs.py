@@ -36,11 +36,10 @@ _FILES = 10  # times the pixels of a file that a set may have
 class Photographs(NamedTuple):
     """Photographs in memory, as `estimate_photographs` takes them.
 
-    Attributes:
-        images: `[N, H, W, 3]`, RGB in the files' own type: uint8, uint16 or float32;
-            gray is replicated.
-        mask: `[H, W]`, bool, with at least one pixel.
-        transfer: how the values encode light, by the files' type.
+    `images` are `[N, H, W, 3]`, RGB in the files' own type: uint8, uint16 or float32,
+    gray
+    replicated; `mask` is `[H, W]`, bool, not empty; `transfer` is how values encode
+    light.
     """
 
     images: np.ndarray
@@ -53,19 +52,16 @@ class Capture:
     """Photographs of one object, read, and what their files say.
 
     Attributes:
-        images: `[N, H, W, 3]`, RGB in the files' own type: uint8, uint16 or float32;
-            grey replicated. Negative floats, which resampling leaves in renderings,
-            are 0, as are values outside the mask that are not finite.
+        images: as in `Photographs`. Negative floats, which resampling leaves in
+            renderings, are 0, as are values outside the mask that are not finite.
         mask: `[H, W]`, bool, with at least one pixel.
         transfer: how the values encode light.
         transfer_rule: where that is known from.
-        focal: focal length in pixels by the first file's EXIF data; None where
-            unknown.
+        focal: focal length in pixels by the first file's EXIF; None where unknown.
         notes: what was dealt with, one sentence each.
         cameras: of each photograph by its EXIF data, empty where unknown.
         exposures: time x speed / f-number squared, the same; 0 where unknown.
-        mask_contrast: how sure a mask is that was looked for in the photographs; None
-            where none was looked for.
+        mask_contrast: how sure a mask is that was looked for; None where none was.
         mask_rule: what found it; empty where nothing did.
     """
 
@@ -89,11 +85,9 @@ def read_photographs(
     """Reads the photographs of an object, one at a time, and its mask.
 
     `images, mask, transfer = read_photographs("folder/")` gives what
-    `estimate_photographs(network, images, mask, transfer=transfer)`
-    takes.
-
-    Args:
-        track: wraps the list of files, to show progress.
+    `estimate_photographs(network, images, mask, transfer=transfer)` takes. `track`
+    wraps
+    the list of files, to show progress.
 
     Raises:
         InputError: if a file cannot be used, sizes, types or orientations differ, the
@@ -120,9 +114,6 @@ def read_capture(
         mask: `[H, W]`, bool, to be taken as it is, in place of the selection's.
         max_pixels: of a file; all photographs together may have ten times as many.
         read: reads a photograph, or the mask, in place of `read_image_file`.
-
-    Raises:
-        InputError: as `read_photographs`.
     """
     read = read or functools.partial(read_image_file, max_pixels=max_pixels)
     stack: _Stack | None = None
@@ -213,10 +204,8 @@ class _Stack:
             self.opaque &= above_half(file.alpha)
 
     def leave_out(self, *, whole: bool) -> list[str]:
-        """Takes from the mask what no photograph shows; says so.
-
-        Args:
-            whole: there was no mask.
+        """Takes from the mask, which may be `whole`, what no photograph shows; reports
+        it.
         """
         notes = []
         where = "of the whole image (no mask)" if whole else "of the mask"
@@ -259,14 +248,7 @@ def mask_for(
     *,
     read: Callable[[Path], ImageFile] = read_image_file,
 ) -> np.ndarray:
-    """The mask of photographs: `[H, W]` bool; all true where there is no mask file.
-
-    Args:
-        shape: the photographs' height and width.
-
-    Raises:
-        InputError: if the mask cannot be read, is empty or has another size.
-    """
+    """The mask of photographs of a shape: `[H, W]` bool; all true without a file."""
     if selection.mask_file is None:
         return np.ones(shape, bool)
     mask = mask_of(read(selection.mask_file))

@@ -38,11 +38,7 @@ FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
 
 
 def photographs_of(folder: Path, prefixes: str) -> list[Path]:
-    """An object's photographs, sorted by name.
-
-    Args:
-        prefixes: letters their names may begin with, in any case.
-    """
+    """An object's photographs, sorted by name, which begins with one of the letters."""
     return [
         path
         for path in sorted(folder.iterdir())
@@ -51,23 +47,14 @@ def photographs_of(folder: Path, prefixes: str) -> list[Path]:
 
 
 def focal_facts(focal_mm: float | None, size: int) -> dict[str, float | None]:
-    """What `meta.json` says of the camera.
-
-    Args:
-        focal_mm: of a frame of `FRAME_MM`; None or 0 for an orthographic camera.
-        size: side of the images in pixels.
-    """
+    """What `meta.json` says of the camera; `focal_mm` None or 0: orthographic."""
     if not focal_mm:
         return {"focal_mm": None}
     return {"focal_mm": focal_mm, "focal": focal_mm / FRAME_MM * size}
 
 
 def read_meta(folder: Path) -> dict[str, Any]:
-    """An object's `meta.json`; empty where there is none.
-
-    Raises:
-        InputError: if it is there and is no JSON object.
-    """
+    """An object's `meta.json`; empty where there is none."""
     path = folder / META
     if not path.is_file():
         return {}
@@ -81,11 +68,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
 
 
 def meta_focal(meta: Mapping[str, Any], path: Path) -> float | None:
-    """The focal length in pixels; infinite if orthographic, None where unknown.
-
-    Raises:
-        InputError: if it is no length.
-    """
+    """The focal length in pixels; infinite if orthographic, None where unknown."""
     focal = meta.get("focal")
     if focal is None:
         return math.inf if meta.get("focal_mm", 0) is None else None
@@ -97,11 +80,7 @@ def meta_focal(meta: Mapping[str, Any], path: Path) -> float | None:
 def meta_lights(
     meta: Mapping[str, Any], path: Path
 ) -> tuple[np.ndarray, np.ndarray | None] | None:
-    """Directions `[N, 3]` and intensities `[N, 3]`, these None where all are 1.
-
-    Raises:
-        InputError: if they are no such numbers.
-    """
+    """Directions `[N, 3]` and intensities `[N, 3]`, these None where all are 1."""
     directions, intensities = (
         _vectors(meta, key, path) for key in ("light_directions", "light_intensities")
     )
@@ -145,13 +124,11 @@ def write_folder(
         images: `[H, W, 3]` each, linear, 1 becomes 65535.
         mask: `[H, W]` bool.
         normals: `[H, W, 3]`, unit inside the mask.
+        facts: for `meta.json`.
         maps: of the material in [0, 1], `[H, W]` or `[H, W, 3]`, kept as 16-bit TIFF
             under their names.
         depth: `[H, W]`, kept as `depth.exr`; 0 outside the mask.
         name: of the images' files, by number.
-
-    Raises:
-        InputError: if the file system refuses.
     """
     with writing(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -188,12 +165,7 @@ def _write_files(
 
 
 class TrainingObject(NamedTuple):
-    """Where an object's files are.
-
-    Attributes:
-        photographs: sorted by name.
-        normals: the true normals.
-    """
+    """Where an object's files are: photographs, sorted by name, and true normals."""
 
     photographs: tuple[Path, ...]
     normals: Path
@@ -203,15 +175,7 @@ class PSWildFolders:
     """All objects below a root; a random-access source for grain."""
 
     def __init__(self, root: Path, *, min_images: int) -> None:
-        """Finds the objects.
-
-        Args:
-            root: holds `X.data` folders, directly or below folders of lightings.
-            min_images: photographs every object must have.
-
-        Raises:
-            InputError: if there are none, or one lacks files.
-        """
+        """Finds `X.data` folders in `root`, or in its folders of lightings."""
         below = glob.glob("**/*.data", root_dir=root, recursive=True)  # through links
         folders = sorted(path for name in below if (path := root / name).is_dir())
         if not folders:
@@ -250,16 +214,9 @@ def read_object(
 
     Zeros below or to the right make squares of those that are none.
 
-    Args:
-        chosen: which photographs, in order.
-        size: side of the result, in pixels.
-
     Returns:
         `images [N, size, size, 3]`, float32 linear light, zero outside the mask;
         `mask [size, size]`, bool; `normals [size, size, 3]`, unit length inside.
-
-    Raises:
-        InputError: if a file is damaged or has another size than the normals.
     """
     normals = read_normals(files.normals)
     mask = has_unit_length(normals)

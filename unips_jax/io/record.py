@@ -49,14 +49,7 @@ def input_record(
     code: str,
     reader: HashingReader,
 ) -> dict[str, Any]:
-    """What the normals follow from, known before anything is computed.
-
-    Args:
-        weights: name, hash and whether they were trained.
-
-    Raises:
-        InputError: if a file cannot be read.
-    """
+    """What the normals follow from, known before anything is computed."""
     mask = selection.mask_file
     return {
         "unips_jax": __version__,
@@ -96,9 +89,7 @@ def complete_record(
 ) -> dict[str, Any]:
     """The content of `normals.json`, less the files' hashes.
 
-    Args:
-        images: `[N, H, W, 3]`, as the network is given them.
-        mask: `[H, W]`, bool.
+    `images` are `[N, H, W, 3]`, as the network is given them.
     """
     now = datetime.datetime.now(datetime.UTC)
     return {

@@ -47,11 +47,7 @@ _SURFACE: dict[str, Any] = {
 
 
 def load_record(path: Path) -> dict[str, Any]:
-    """Reads and checks a record.
-
-    Raises:
-        InputError: if it cannot be read, or holds something else than a record does.
-    """
+    """Reads and checks a record."""
     try:
         _require_regular(path)
         if path.stat().st_size > _LARGEST:
@@ -69,11 +65,7 @@ def load_record(path: Path) -> dict[str, Any]:
 
 
 def file_of(folder: Path, name: str) -> Path:
-    """A file that a record names, which must be a regular one.
-
-    Raises:
-        InputError: if it is none.
-    """
+    """A file that a record names, which must be a regular one."""
     path = folder / name
     try:
         _require_regular(path)

@@ -36,11 +36,7 @@ _BEFORE = "before-"
 
 
 def file_hash(file: Path) -> str:
-    """SHA-256 of a file's contents, as `sha256sum` prints it.
-
-    Raises:
-        InputError: if it cannot be read.
-    """
+    """SHA-256 of a file's contents, as `sha256sum` prints it."""
     try:
         with file.open("rb") as opened:
             return hashlib.file_digest(opened, "sha256").hexdigest()
@@ -51,11 +47,7 @@ def file_hash(file: Path) -> str:
 def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
     """Writes `normals.json`: how these normals came about, and the files' hashes.
 
-    Args:
-        folder: where; the other files are there already.
-
-    Returns:
-        The names of all files of the folder.
+    The other files are there already. Returns the names of all.
     """
     hashes = {file.name: file_hash(file) for file in sorted(folder.iterdir())}
     text = json.dumps({**record, "files": hashes}, indent=2, ensure_ascii=False)
@@ -74,11 +66,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def whole_record(folder: Path) -> dict[str, Any]:
-    """The record of a folder of results.
-
-    Raises:
-        InputError: if there is none, or a file is not as it was written.
-    """
+    """The record of a folder of results; refused if a file was changed or lost since."""
     record = load_record(folder / RECORD)
     for name, value in record["files"].items():
         if name not in _EDITABLE and file_hash(file_of(folder, name)) != value:
@@ -100,13 +88,9 @@ def results_of(folder: Path) -> list[Path]:
 def check_target(target: Path, source: Path, *, record: str = RECORD) -> None:
     """Refuses what cannot become a folder of results, before there are any.
 
-    Args:
-        source: folder of the photographs.
-        record: name of the file by which earlier results are known.
-
-    Raises:
-        InputError: if the target is the source, a file, a folder with files that this
-            program did not write, or where nothing may be written.
+    That is the folder of the photographs, a file, a folder with files that this program
+    did
+    not write (by its `record`), or a place where nothing may be written.
     """
     try:
         _check_target(target, source, record)
@@ -132,16 +116,12 @@ def appearing_at_once(target: Path, *, record: str = RECORD) -> Iterator[Path]:
     """Gives a temporary folder that becomes `target` when all is written.
 
     An earlier folder of results is set aside and the new one put in its place, by two
-    renames. Files in it that are not ours are kept. If anything fails, the target
-    stays as it was. A process that is killed before the first rename leaves the earlier
-    results, after the second the new ones; between them, none, until
+    renames. Files in it that are not listed by its `record` are kept. If anything
+    fails,
+    the target stays as it was. A process that is killed before the first rename leaves
+    the
+    earlier results, after the second the new ones; between them, none, until
     `clear_leftovers` brings the earlier ones back.
-
-    Args:
-        record: name of the JSON file whose "files" are those of earlier results.
-
-    Raises:
-        InputError: if the file system refuses.
     """
     place = Path(os.path.realpath(target))
     try:

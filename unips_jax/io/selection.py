@@ -48,9 +48,8 @@ _MAP_ONLY = re.compile(
 def is_map(name: str) -> bool:
     """Whether a file is, by its name, a map or an output and no photograph.
 
-    Args:
-        name: the file's name, in any case. `normal_gt.png`, `objMask.tif` and
-            `baseColor.tif` are maps; `length_01.png` and `abnormal.jpg` are not.
+    `normal_gt.png`, `objMask.tif` and `baseColor.tif` are maps; `length_01.png` and
+    `abnormal.jpg` are not.
     """
     words = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", Path(name).stem)
     words = re.sub(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", " ", words).strip()
@@ -70,12 +69,11 @@ def is_photograph(path: Path) -> bool:
 class Selection:
     """Which files of a folder are photographs.
 
-    Attributes:
-        folder: the folder.
-        files: the photographs, sorted by name; at least one.
-        left_out: for each reason, the names left out for it.
-        mask_file: the mask, or None.
-        source: the file that the photographs lie in, where the folder is temporary.
+    `files`, at least one, are sorted by name; `left_out` holds for each reason the
+    names
+    left out for it; `source` is the file that the photographs lie in, where the folder
+    is
+    temporary.
     """
 
     folder: Path
@@ -112,10 +110,6 @@ def select(
         exclude: patterns of names to leave out, the folder's own mask's too.
         max_images: if the folder has more photographs, this many are drawn.
         seed: seed of that draw; the same seed and files give the same choice.
-
-    Raises:
-        InputError: if there is no such folder, no photograph in it, no such mask, or
-            more than one mask.
     """
     if not folder.is_dir():
         what = "a file" if folder.exists() else "nothing of this name"

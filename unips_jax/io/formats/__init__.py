@@ -40,12 +40,7 @@ _RAW = (  # cameras' raw files that are no TIFF
 
 
 def open_encoded(data: bytes, *, vectors: bool = False) -> Encoded:
-    """Reads a file's header.
-
-    Raises:
-        NotRead: if it is of a kind that is not read.
-        Damaged: if it is damaged.
-    """
+    """Reads a file's header, or raises `NotRead` (a kind) or `Damaged`."""
     for pattern, name in _OTHERS:
         if re.match(pattern, data[:16], re.DOTALL):
             raise NotRead(name)
@@ -105,14 +100,9 @@ def _open_boxed(data: bytes) -> Encoded:
 
 
 def decode(encoded: Encoded) -> tuple[np.ndarray, np.ndarray | None]:
-    """Decodes a file's pixels, as they lie in it.
+    """A file's pixels as stored: `[H, W, 1 or 3]`, and alpha `[H, W]` or None.
 
-    Returns:
-        `[H, W, 1 or 3]` and alpha `[H, W]` or None, of the type that its header says.
-
-    Raises:
-        NotRead: if it is of a kind that is not read.
-        Damaged: if it is damaged.
+    Raises `NotRead` or `Damaged`.
     """
     try:
         pixels = np.atleast_3d(encoded.decode())

@@ -17,11 +17,7 @@ def transfer_code(boxes: bytes) -> int:
 
 
 def known_code(code: int, kind: str) -> int:
-    """The code, 0 where it says nothing.
-
-    Raises:
-        NotRead: if nobody knows what it means.
-    """
+    """The code, 0 where it says nothing; `NotRead` if nobody knows what it means."""
     if code not in CURVES and code not in _UNSAID:
         raise NotRead(f"{kind} of the unknown transfer code {code}")
     return code if code in CURVES else 0

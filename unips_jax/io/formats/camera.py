@@ -24,12 +24,7 @@ _BYTE = np.dtype(np.uint8)
 
 
 def open_raw(data: bytes, name: str) -> Encoded:
-    """Reads a camera's raw file.
-
-    Raises:
-        NotRead: if rawpy is not installed, or does not know the camera.
-        Exception: of several kinds, if it is damaged.
-    """
+    """Reads a camera's raw file; `NotRead` without rawpy, or of an unknown camera."""
     try:
         import rawpy
     except ImportError:

@@ -16,11 +16,7 @@ _MAKER, _MODEL, _TIME, _APERTURE, _SPEED = 0x010F, 0x0110, 0x829A, 0x829D, 0x882
 
 
 class NotRead(Exception):  # noqa: N818
-    """A sound file of a kind that is not read.
-
-    Attributes:
-        fix: what to do.
-    """
+    """A sound file of a kind that is not read; `fix` is what to do."""
 
     def __init__(self, kind: str, fix: str = "export it as PNG or TIFF") -> None:
         """Names the kind."""
@@ -83,13 +79,9 @@ class Encoded:
 
 
 def exif_facts(block: bytes) -> dict[str, Any]:
-    """What EXIF data hold; what is damaged counts as absent.
+    """Fields of `Encoded` by EXIF data, with or without their `Exif` mark.
 
-    Args:
-        block: the data, with or without their `Exif` mark; may be empty.
-
-    Returns:
-        Fields of `Encoded`.
+    What is damaged counts as absent.
     """
     tags: dict[int, object] = {}
     if block:

@@ -28,13 +28,9 @@ _HEADERS = {"separate_channels": True, "header_only": True}
 def open_exr(data: bytes, *, vectors: bool = False) -> Encoded:
     """Reads an EXR's headers.
 
-    Args:
-        vectors: the picture is a normal map: channels X, Y, Z are read too, and layers
-            named as maps.
-
-    Raises:
-        NotRead: if it is of a kind that is not read.
-        Exception: of several kinds, if it is damaged.
+    With `vectors` the picture is a normal map: channels X, Y, Z are read too, and
+    layers
+    named as maps.
     """
     headers = [part.header for part in OpenEXR.File(io.BytesIO(data), **_HEADERS).parts]
     index, names = _picture(headers, vectors)
@@ -74,11 +70,9 @@ def displayed(
     data: tuple[np.ndarray, np.ndarray],
     display: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """The display window of an EXR image; zeros where it has no data.
+    """The display window of an EXR image `[h, w, C]`; zeros where it has no data.
 
-    Args:
-        image: `[h, w, C]`, the data window.
-        data: the window's first and last (x, y).
+    Windows are their first and last (x, y).
     """
     (left, top), (right, bottom) = data[0] - display[0], data[1] - display[0] + 1
     width, height = display[1] - display[0] + 1

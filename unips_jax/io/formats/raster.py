@@ -75,8 +75,7 @@ def open_jpeg(data: bytes) -> Encoded:
 def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yields (marker, start, end) of a JPEG's segments, up to the first scan.
 
-    Args:
-        data: the file's bytes. `start` is behind marker and length.
+    `start` is behind marker and length.
     """
     position = 2
     for _ in range(_PARTS):

@@ -57,9 +57,7 @@ logging.getLogger("tifffile").addHandler(_COMPLAINTS)
 def count_pages(file: BinaryIO, most: int) -> int:
     """How many directories a TIFF's chain has, before any library follows it.
 
-    Raises:
-        NotRead: if there are more than `most`.
-        Damaged: if the chain returns to where it was.
+    `NotRead` if they are more than `most`, `Damaged` if the chain returns to itself.
     """
     head = file.read(16)
     order = "<" if head[:1] == b"I" else ">"
@@ -85,13 +83,7 @@ def count_pages(file: BinaryIO, most: int) -> int:
 
 
 def open_tiff(data: bytes) -> Encoded:
-    """Reads a TIFF's tags.
-
-    Raises:
-        NotRead: if it is of a kind that is not read.
-        Damaged: if it holds nothing.
-        Exception: of many kinds, if it is damaged.
-    """
+    """Reads a TIFF's tags; damaged ones raise `Damaged`, or any kind of exception."""
     _COMPLAINTS.said.lines = []
     tiff = tifffile.TiffFile(io.BytesIO(data))
     page = _photograph(tiff)
