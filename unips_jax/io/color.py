@@ -191,6 +191,6 @@ def as_linear(image: np.ndarray, transfer: Transfer) -> np.ndarray:
 
 
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
-    """The sRGB transfer function (IEC 61966-2-1); linear values are clipped to [0, 1]."""
+    """The sRGB transfer function (IEC 61966-2-1); linear values outside [0, 1] clip."""
     x = np.clip(linear, 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)

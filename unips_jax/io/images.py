@@ -153,7 +153,7 @@ def require_finite(path: Path, values: np.ndarray) -> None:
 
 
 def encode_image(suffix: str, pixels: np.ndarray) -> bytes:
-    """A file's contents by its suffix; `[H, W, 3]` (RGB) or `[H, W]`, uint8 or uint16."""
+    """A file's contents by its suffix, of `[H, W, 3]` (RGB) or `[H, W]`, 8 or 16 bits."""
     if pixels.ndim == 3:
         pixels = pixels[..., ::-1]
     return cv2.imencode(suffix, np.ascontiguousarray(pixels))[1].tobytes()

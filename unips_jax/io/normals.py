@@ -86,7 +86,7 @@ def encode_normals(normals: np.ndarray) -> np.ndarray:
 
 
 def decode_normals(values: np.ndarray) -> np.ndarray:
-    """Normals, not normalised, of a map in uint8 or uint16; float32 holds them already."""
+    """Normals, not normalised, of uint8 or uint16; float32 holds them already."""
     if values.dtype == np.float32:
         return values
     top = np.iinfo(values.dtype).max
@@ -96,9 +96,7 @@ def decode_normals(values: np.ndarray) -> np.ndarray:
 
 
 def read_normals(path: Path) -> np.ndarray:
-    """Reads a map: `[H, W, 3]`, float32, finite, not normalised; 8 or 16 bits, or
-    floats.
-    """
+    """Reads a map of 8 or 16 bits or floats: `[H, W, 3]`, float32, not normalised."""
     return normals_of(read_image_file(path, vectors=True))
 
 

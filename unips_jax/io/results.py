@@ -66,7 +66,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def whole_record(folder: Path) -> dict[str, Any]:
-    """The record of a folder of results; refused if a file was changed or lost since."""
+    """The record of a folder of results; refused if a file was changed since."""
     record = load_record(folder / RECORD)
     for name, value in record["files"].items():
         if name not in _EDITABLE and file_hash(file_of(folder, name)) != value:
