@@ -153,7 +153,7 @@ def require_finite(path: Path, values: np.ndarray) -> None:
 
 
 def encode_image(suffix: str, pixels: np.ndarray) -> bytes:
-    """A file's contents by its suffix, of `[H, W, 3]` (RGB) or `[H, W]`, 8 or 16 bits."""
+    """A file's contents by its suffix; pixels are `[H, W, 3]` (RGB) or `[H, W]`."""
     if pixels.ndim == 3:
         pixels = pixels[..., ::-1]
     return cv2.imencode(suffix, np.ascontiguousarray(pixels))[1].tobytes()

@@ -204,7 +204,7 @@ class _Stack:
             self.opaque &= above_half(file.alpha)
 
     def leave_out(self, *, whole: bool) -> list[str]:
-        """Takes from the mask (or the whole image) what no photograph shows; notes it."""
+        """Takes from the mask (or whole image) what no photograph shows; says so."""
         notes = []
         where = "of the whole image (no mask)" if whole else "of the mask"
         if whole:
