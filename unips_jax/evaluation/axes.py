@@ -30,19 +30,12 @@ _LEAST_GAIN_DEG, _LARGEST_SHARE, _AGREEING = 5.0, 0.7, 0.75
 
 
 class Turned(NamedTuple):
-    """The axes that seem turned.
+    """The axes that seem turned."""
 
-    Attributes:
-        meaning: which, in words.
-        options: of `files:DIR` that say so.
-        as_given: mean error of the normals as they are, in degrees.
-        turned: mean error with the axes turned.
-    """
-
-    meaning: str
-    options: str
-    as_given: float
-    turned: float
+    meaning: str  # which, in words
+    options: str  # of `files:DIR` that state it
+    as_given: float  # mean error of the normals as they are, in degrees
+    turned: float  # mean error with the axes turned
 
     @property
     def remark(self) -> str:
@@ -54,10 +47,9 @@ class Turned(NamedTuple):
 
 
 def misfit(integrabilities: Sequence[float]) -> str:
-    """What is said of a method whose slopes do not fit together; empty where they do.
+    """A line on a method whose slopes do not fit together; empty where they do.
 
-    Args:
-        integrabilities: of its objects; see `io.normal_maps`.
+    For the integrabilities of its objects see `io.normal_maps`.
     """
     decided = [x for x in integrabilities if abs(x) > _DECIDING]
     if not decided or sum(x < 0 for x in decided) < _AGREEING * len(decided):
@@ -85,8 +77,7 @@ def errors_if_turned(
 def find_turned(pairs: Sequence[tuple[float, Mapping[str, Any]]]) -> Turned | None:
     """What would make most objects much better; None where nothing would.
 
-    Args:
-        pairs: of each object, its mean error and those of `errors_if_turned`.
+    `pairs` are each object's mean error and those of `errors_if_turned`.
     """
     if not pairs:
         return None

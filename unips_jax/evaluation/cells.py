@@ -8,64 +8,40 @@ Kind = Literal["own", "published", "mean", "folded"]
 
 
 class Cell(NamedTuple):
-    """A value, and what the report shows with it.
+    """A value, and what the report shows with it."""
 
-    Attributes:
-        value: None where there is nothing to say.
-        best: whether to set it in bold.
-        note: why there is no number.
-        method: the label of the method that it names; its colour marks it.
-    """
-
-    value: Value
-    best: bool = False
-    note: str = ""
-    method: str = ""
+    value: Value  # None where there is nothing to say
+    best: bool = False  # whether to set it in bold
+    note: str = ""  # why there is no number
+    method: str = ""  # the label of the method that it names; its colour marks it
 
 
 class Row(NamedTuple):
-    """A row; rows of a kind are sorted among themselves.
+    """A row; rows of a kind are sorted among themselves."""
 
-    Attributes:
-        cells: one for each column.
-        kind: of this run, published by others, the mean of the rows above, or folded:
-            shown on demand.
-    """
-
-    cells: Sequence[Cell]
+    cells: Sequence[Cell]  # one for each column
+    # of this run, published by others, the mean of the rows above, or folded: shown on
+    # demand
     kind: Kind = "own"
 
 
 class Column(NamedTuple):
-    """A column.
+    """A column."""
 
-    Attributes:
-        name: its heading.
-        method: the label of the method that it belongs to.
-        in_report: False for what the report shows by headings between the rows.
-        digits: of its numbers, after the point, where people read them.
-    """
-
-    name: str
-    method: str = ""
+    name: str  # its heading
+    method: str = ""  # the label of the method that it belongs to
+    # False for what the report shows by headings between the rows
     in_report: bool = True
-    digits: int = 2
+    digits: int = 2  # of its numbers, after the point, where people read them
 
 
 class Table(NamedTuple):
-    """A table.
+    """A table."""
 
-    Attributes:
-        name: of its files.
-        title: one line.
-        columns: from left to right.
-        rows: from top to bottom.
-    """
-
-    name: str
-    title: str
-    columns: Sequence[Column]
-    rows: Sequence[Row]
+    name: str  # of its files
+    title: str  # one line
+    columns: Sequence[Column]  # from left to right
+    rows: Sequence[Row]  # from top to bottom
 
     @property
     def names(self) -> list[str]:

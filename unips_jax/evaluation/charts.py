@@ -26,13 +26,7 @@ _GRID = "#e4e7ec"
 
 
 class Chart(NamedTuple):
-    """A chart.
-
-    Attributes:
-        title: one line.
-        svg: the drawing.
-        legend: name and style of each line, in order.
-    """
+    """A drawing, with the name and style of each line, in order."""
 
     title: str
     svg: bytes

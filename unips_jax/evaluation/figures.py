@@ -59,11 +59,7 @@ class Figures:
         return len(self.value)
 
     def pick(self, **wanted: Any) -> "Figures":
-        """The rows whose columns have these values, as in `pick(method="unips")`.
-
-        Raises:
-            ValueError: if there is no such column.
-        """
+        """The rows whose columns have these values, as in `pick(method="unips")`."""
         kept = np.ones(len(self), bool)
         for name, value in wanted.items():
             if name not in COLUMNS:
@@ -74,17 +70,10 @@ class Figures:
     def compare(
         self, first: str, second: str, *, measure: str = "mae_deg", **wanted: Any
     ) -> Pair:
-        """Compares two methods on what both have, object by object.
+        """Compares two methods on what both have, object by object; lower is better.
 
-        Args:
-            first: a method.
-            second: another.
-            measure: in which; lower is better.
-            **wanted: as in `pick`; over seeds, and whatever else is left, the mean is
-                taken.
-
-        Raises:
-            ValueError: if they share nothing.
+        `wanted` is as in `pick`; over seeds, and whatever else is left, the mean is
+        taken. `ValueError` if they share nothing.
         """
         errors = [
             self.pick(method=name, measure=measure, **wanted)._by_object()
@@ -117,14 +106,7 @@ class Figures:
 
 
 def load_results(workdir: str | os.PathLike[str]) -> Figures:
-    """Reads the figures that `unips eval` wrote.
-
-    Args:
-        workdir: the folder given as `--workdir`.
-
-    Raises:
-        InputError: if there are none.
-    """
+    """Reads the figures that `unips eval` wrote into its `--workdir`."""
     path = Path(workdir) / "tables" / "figures.csv"
     try:
         with path.open(newline="", encoding="utf-8") as file:

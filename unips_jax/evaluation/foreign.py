@@ -54,9 +54,8 @@ def from_module(request: str) -> Variant:
 def from_package(request: str, value: str) -> Variant:
     """The method of an installed package.
 
-    Args:
-        request: `name` or `name:option=value,...`.
-        value: `module:factory`, as the package declares it.
+    `request` is `name` or `name:option=value,...`, `value` the `module:factory` that
+    the package declares.
     """
     name, _, text = request.partition(":")
     module, _, factory = value.partition(":")

@@ -40,30 +40,20 @@ if TYPE_CHECKING:
 
 
 class UnipsOptions(NamedTuple):
-    """How UniPS is evaluated.
+    """How UniPS is evaluated."""
 
-    Attributes:
-        weights: names of shipped weights, or files; each is a method.
-        canonical_sizes: sides of the encoder's images to compare (Table 4); the
-            weights' own where empty.
-        uniform_contexts: also evaluate with contexts averaged over space (Table 5).
-    """
-
-    weights: Sequence[str]
+    weights: Sequence[str]  # names of shipped weights, or files; each is a method
+    # sides of the encoder's images to compare (Table 4); the weights' own where empty
     canonical_sizes: Sequence[int] = ()
+    # also evaluate with contexts averaged over space (Table 5)
     uniform_contexts: bool = False
 
 
 def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]:
     """Readies the methods asked for, and the constant normal, the floor of any table.
 
-    Args:
-        requests: `name` or `name:option=value,...`; `classical` stands for the
-            baselines that need no weights.
-        unips: what `unips` stands for.
-
-    Raises:
-        InputError: if a method, an option or weights are not there.
+    A request is `name` or `name:option=value,...`; `classical` stands for the baselines
+    that need no weights.
     """
     variants: list[Variant] = []
     expanded = [

@@ -43,17 +43,11 @@ _LENGTHS = (0.9, 1.1)
 
 @dataclasses.dataclass(frozen=True)
 class Subset:
-    """Which images a result is of.
+    """Which images a result is of."""
 
-    Attributes:
-        count: how many; None for all.
-        seed: of the draw; None where all are used.
-        alone: whether the run has no other subset.
-    """
-
-    count: int | None
-    seed: int | None
-    alone: bool
+    count: int | None  # None for all
+    seed: int | None  # of the draw; None where all are used
+    alone: bool  # whether the run has no other subset
 
     @property
     def folder(self) -> str:
@@ -63,27 +57,16 @@ class Subset:
 
 @dataclasses.dataclass(frozen=True)
 class NormalFiles:
-    """A folder of normals.
+    """A folder of normals."""
 
-    Attributes:
-        folder: where they are.
-        signs: of x, y and z, by which they become ours.
-        order: of the channels.
-        file: where an object's file is in the folder, with `{object}`; empty: see the
-            module.
-    """
-
-    folder: Path
-    signs: tuple[int, int, int] = (1, 1, 1)
-    order: tuple[int, int, int] = (0, 1, 2)
+    folder: Path  # where they are
+    signs: tuple[int, int, int] = (1, 1, 1)  # of x, y and z, by which they become ours
+    order: tuple[int, int, int] = (0, 1, 2)  # of the channels
+    # where an object's file is in the folder, with `{object}`; empty: see the module
     file: str = ""
 
     def find(self, name: str, subset: Subset) -> Path | None:
-        """An object's file; None where there is none.
-
-        Raises:
-            InputError: if there are several that could be meant.
-        """
+        """An object's file; None where there is none. Several are an `InputError`."""
         bases = [self.folder / subset.folder, *([self.folder] if subset.alone else [])]
         for base in bases:
             if self.file:
@@ -103,17 +86,10 @@ class NormalFiles:
         return "" if path is None else bytes_hash(files.read_bytes(path))
 
     def read(self, path: Path, masks: list[np.ndarray]) -> np.ndarray:
-        """Reads a file.
+        """Normals of a file: `[H, W, 3]`, float32, unit length, in our convention.
 
-        Args:
-            path: the file.
-            masks: those of the photographs and of what the protocol showed.
-
-        Returns:
-            `[H, W, 3]`, float32, unit length, in our convention.
-
-        Raises:
-            InputError: if they have another size, or are no unit vectors.
+        Their size must be that of the `masks`: the photographs', or what the protocol
+        shows.
         """
         normals = read_any(path)[..., list(self.order)] * np.array(
             self.signs, np.float32
@@ -136,10 +112,7 @@ class NormalFiles:
     ) -> Callable[[Observed], np.ndarray]:
         """The normals of one object as a method.
 
-        Args:
-            name: the object's.
-            subset: which images it is shown in.
-            crop: brings normals of the photographs' size to what the protocol shows.
+        `crop` brings normals of the photographs' size to what the protocol shows.
         """
 
         def method(observed: Observed) -> np.ndarray:
@@ -191,27 +164,14 @@ def normal_files(
     channels: Literal["rgb", "bgr"] = "rgb",
     file: str = "",
 ) -> NormalFiles:
-    """A folder of normals in a convention.
-
-    Args:
-        folder: where they are.
-        x: where the first component points.
-        y: where the second does.
-        z: where the third does.
-        channels: the order in which they are stored.
-        file: as `NormalFiles` has it.
-    """
+    """A folder of normals: where x, y and z point, the channels' order, and `file`."""
     signs = 1 - 2 * (x == "left"), 1 - 2 * (y == "down"), 1 - 2 * (z == "away")
     order = (2, 1, 0) if channels == "bgr" else (0, 1, 2)
     return NormalFiles(Path(folder), signs, order, file)
 
 
 def read_any(path: Path) -> np.ndarray:
-    """Normals `[H, W, 3]`, float32, as stored, of an array or an image.
-
-    Raises:
-        InputError: if the file holds none.
-    """
+    """Normals `[H, W, 3]`, float32, as stored, of an array or an image."""
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".mat"):
         return read_normals(path)

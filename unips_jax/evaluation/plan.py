@@ -25,63 +25,35 @@ _CODE = ("evaluation.benchmarks", "evaluation.protocols", "evaluation.scores")
 
 
 class Plan(NamedTuple):
-    """What is to be evaluated.
-
-    Attributes:
-        benchmark: the data.
-        variants: the methods.
-        protocol: how objects are shown.
-        counts: numbers of images; None stands for all.
-        seeds: of the subsets; each draws its own.
-        fingerprints: of each entry's data.
-    """
+    """What is to be evaluated."""
 
     benchmark: Benchmark
     variants: Sequence[Variant]
-    protocol: Protocol
-    counts: Sequence[int | None]
-    seeds: Sequence[int]
-    fingerprints: Sequence[str]
+    protocol: Protocol  # how objects are shown
+    counts: Sequence[int | None]  # numbers of images; None stands for all
+    seeds: Sequence[int]  # of the subsets; each draws its own
+    fingerprints: Sequence[str]  # of each entry's data
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A method, an object and a choice of images.
+    """A method, an object and a choice of images."""
 
-    Attributes:
-        index: the entry's.
-        variant: the method.
-        subset: which images.
-        name: of the result in the store.
-        fields: what the result depends on.
-    """
-
-    index: int
+    index: int  # the entry's
     variant: Variant
     subset: Subset
-    name: str
-    fields: dict[str, Any]
+    name: str  # of the result in the store
+    fields: dict[str, Any]  # what the result depends on
 
 
 def check_data(benchmark: Benchmark) -> Iterator[str]:
-    """Reads every object's files through.
-
-    Yields:
-        Each entry's fingerprint.
-
-    Raises:
-        InputError: at the first file that cannot be used.
-    """
+    """Reads every object's files through; yields each entry's fingerprint."""
     for index in range(len(benchmark)):
         yield benchmark.check(index)
 
 
 def check_counts(benchmark: Benchmark, counts: Sequence[int | None]) -> None:
-    """Checks that every object has as many images as are asked for.
-
-    Raises:
-        InputError: naming the object that has fewer.
-    """
+    """Checks that every object has as many images as are asked for."""
     for count in counts:
         if count is None:
             continue
@@ -139,8 +111,7 @@ def subsets_of(plan: Plan, index: int) -> Iterator[tuple[Subset, np.ndarray]]:
 def check_normal_files(plan: Plan) -> None:
     """Reads the normals that other programs made, before any work.
 
-    Raises:
-        InputError: if a method has none for any object, or a file cannot be used.
+    `InputError` if a method has none for any object, or a file cannot be used.
     """
     for variant in plan.variants:
         if variant.files is None:

@@ -28,22 +28,13 @@ _MARGIN = 4
 
 @dataclasses.dataclass(frozen=True)
 class Protocol:
-    """A protocol with its numbers.
-
-    Attributes:
-        name: "crop" or "native".
-        size: side of the crop, in pixels.
-    """
+    """A protocol, "crop" or "native"; `size` is the crop's side in pixels."""
 
     name: Literal["crop", "native"]
     size: int = 256
 
     def __post_init__(self) -> None:
-        """Checks the numbers.
-
-        Raises:
-            InputError: if there is no such protocol, or the crop is too small.
-        """
+        """Checks the numbers."""
         if self.name not in ("crop", "native"):
             raise InputError(f"protocol: expected crop or native, got {self.name!r}")
         if self.size < 8:
@@ -56,14 +47,10 @@ class Protocol:
 
 
 class Case(NamedTuple):
-    """What methods get, and what their estimate is compared with.
+    """What methods get, and what their estimate is compared with."""
 
-    Attributes:
-        observed: all that methods see; images of integer files are in [0, 1].
-        normals: the truth, `[h, w, 3]`, float32; None where it is withheld.
-    """
-
-    observed: Observed
+    observed: Observed  # all that methods see; images of integer files are in [0, 1]
+    # the truth, `[h, w, 3]`, float32; None where it is withheld
     normals: np.ndarray | None
 
 
@@ -76,28 +63,17 @@ class Box(NamedTuple):
 
 
 def choose_images(count: int, total: int, *, seed: int) -> np.ndarray:
-    """The images of a subset, in the order of the files.
+    """The images of a subset: `[count]` increasing indices below `total`.
 
-    Subsets of one seed are nested: the 4 images are among the 8.
-
-    Args:
-        count: number of images wanted, at most `total`.
-        total: number of images there are.
-        seed: of the draw, which is the same for every object with as many images.
-
-    Returns:
-        `[count]`, increasing indices.
+    Subsets of one seed are nested: the 4 images are among the 8. The draw is the same
+    for every object with as many images.
     """
     order = np.random.default_rng([seed, total]).permutation(total)
     return np.sort(order[:count])
 
 
 def square_box(mask: np.ndarray) -> Box:
-    """The crop's box: the mask's bounding box, 4 pixels around, made square.
-
-    Args:
-        mask: `[H, W]`, bool, not empty.
-    """
+    """The crop's box: that of a mask `[H, W]`, 4 pixels around, made square."""
     rows, columns = mask_box(mask)
     height, width = rows.stop - rows.start, columns.stop - columns.start
     side = max(height, width) + 2 * _MARGIN
@@ -112,14 +88,10 @@ def show(
     *,
     crop_focal_ratio: float | None = None,
 ) -> Case:
-    """Prepares an object.
+    """Prepares an object, shown by the images whose indices are chosen.
 
-    Args:
-        item: the object as read.
-        protocol: how to show it.
-        chosen: indices of the images to show.
-        crop_focal_ratio: focal length over the crop's side, used by `crop` where the
-            object's camera is not known.
+    `crop` takes `crop_focal_ratio`, focal length over the crop's side, where the
+    object's camera is not known.
     """
     chosen = np.asarray(chosen)
     lights = item.lights
@@ -158,19 +130,12 @@ def shown_normals(
 
 
 class _Crop(NamedTuple):
-    """The square around an object, brought to one size.
-
-    Attributes:
-        box: the square.
-        mask: the object's pixels before.
-        shown: those after.
-        weight: how much of each pixel after is the object's.
-    """
+    """The square around an object, brought to one size."""
 
     box: Box
-    mask: np.ndarray
-    shown: np.ndarray
-    weight: np.ndarray
+    mask: np.ndarray  # the object's pixels before
+    shown: np.ndarray  # those after
+    weight: np.ndarray  # how much of each pixel after is the object's
 
     @classmethod
     def around(cls, mask: np.ndarray, size: int) -> "_Crop":

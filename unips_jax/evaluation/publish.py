@@ -26,11 +26,7 @@ from unips_jax.version import __version__
 
 
 def write_tables(store: Store, tables: Sequence[Table]) -> Path:
-    """Writes the tables in all formats, and removes those that only earlier runs had.
-
-    Returns:
-        Their folder.
-    """
+    """Writes the tables in all formats; removes those that only earlier runs had."""
     folder = store.root / "tables"
     with store.claim("publish", wait=True):
         files = files_of(tables)
@@ -50,11 +46,7 @@ def write_figures(store: Store, results: Results) -> Path:
 
 
 def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibit]:
-    """Draws every object's sheet into `sheets/`, unless it is there.
-
-    Yields:
-        Each object's pictures for the report.
-    """
+    """Draws every object's sheet into `sheets/`, unless it is there, for the report."""
     folder = store.root / "sheets"
     for index, entry in enumerate(plan.benchmark.entries):
         own = [
@@ -84,12 +76,7 @@ def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibi
 
 
 def header_of(plan: Plan, command: str) -> Header:
-    """Where a report of this plan comes from.
-
-    Args:
-        plan: what was evaluated.
-        command: what was typed.
-    """
+    """Where a report of this plan comes from; `command` is what was typed."""
     digest = hashlib.blake2b("\n".join(plan.fingerprints).encode(), digest_size=8)
     keys = {variant.label: variant.key for variant in plan.variants}
     weights = {
@@ -114,11 +101,7 @@ def write_report(
     tables: Sequence[Table],
     exhibits: Sequence[Exhibit],
 ) -> Path:
-    """Writes the report.
-
-    Returns:
-        Its path.
-    """
+    """Writes the report."""
     path = store.root / "report.html"
     with store.claim("publish", wait=True):
         write_whole(path, report(header, results, tables, exhibits))
@@ -131,10 +114,7 @@ def write_inputs(plan: Plan, folder: Path) -> Iterator[Path]:
     `OBJECT.data/L_001.png` and so on, linear 16-bit photographs; `mask.png`; where the
     lights are known, `light_directions.txt` and `light_intensities.txt`, a line `x y z`
     or `R G B` per photograph. Where the run has several subsets of images, a folder for
-    each.
-
-    Yields:
-        Each object's folder.
+    each. Yields each object's folder.
     """
     for index, entry in enumerate(plan.benchmark.entries):
         item = plan.benchmark[index]
@@ -163,12 +143,9 @@ def _write_observed(place: Path, observed: Observed) -> None:
 
 
 def write_submissions(store: Store, results: Results) -> Path:
-    """Writes DiLiGenT10^2's files, a folder per method.
+    """Writes DiLiGenT10^2's files, a folder per method, into the folder it returns.
 
-    Files of objects that these results have no more are removed from these folders.
-
-    Returns:
-        The folder of these folders.
+    Files of objects that these results have no more are removed.
     """
     folder = store.root / "submission"
     with store.claim("publish", wait=True):

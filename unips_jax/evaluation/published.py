@@ -12,20 +12,13 @@ from typing import NamedTuple
 
 
 class Published(NamedTuple):
-    """A row of someone's table.
+    """A row of someone's table."""
 
-    Attributes:
-        method: its name there.
-        scores: degrees by lighting (PS-Wild) or by object, and `mean` where only that
-            is printed.
-        group: what the row belongs to: "method", or an ablation of UniPS.
-        images: number of images; None for all of the benchmark's.
-    """
-
-    method: str
+    method: str  # its name there
+    # degrees by lighting (PS-Wild) or by object, and `mean` where only that is printed
     scores: Mapping[str, float]
-    group: str = "method"
-    images: int | None = None
+    group: str = "method"  # "method", or an ablation of UniPS
+    images: int | None = None  # how many; None for all of the benchmark's
 
 
 def _lightings(
@@ -126,15 +119,9 @@ DATA = {
 
 
 def mean(row: Published, evaluated: Sequence[str] = ()) -> float:
-    """The row's mean.
+    """The row's printed mean, or that of its scores.
 
-    Args:
-        row: as published.
-        evaluated: the objects and lightings of this run.
-
-    Returns:
-        The printed mean, or that of the row's scores. Where only some of a row's
-        objects or lightings were evaluated, the mean over those.
+    Where only some of a row's objects or lightings were evaluated, the mean over those.
     """
     named = [name for name in row.scores if name != "mean"]
     shown = [row.scores[name] for name in named if name in evaluated]

@@ -6,20 +6,13 @@ from typing import Any, NamedTuple
 
 
 class Baseline(NamedTuple):
-    """Where a baseline is.
+    """Where a baseline is."""
 
-    Attributes:
-        about: what it is, one line for the reader of a report.
-        module: in `unips_jax.baselines`.
-        factory: in that module; its keyword arguments are the method's options.
-        fixed: options that the name stands for.
-        network: whose weights the option `weights` must give; "" where it needs none.
-    """
-
-    about: str
-    module: str
-    factory: str
-    fixed: Mapping[str, Any] = MappingProxyType({})
+    about: str  # what it is, one line for the reader of a report
+    module: str  # in `unips_jax.baselines`
+    factory: str  # in that module; its keyword arguments are the method's options
+    fixed: Mapping[str, Any] = MappingProxyType({})  # options that the name stands for
+    # whose weights the option `weights` must give; "" where it needs none
     network: str = ""
 
 

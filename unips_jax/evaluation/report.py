@@ -25,39 +25,23 @@ _QUALITY = 88
 
 
 class Header(NamedTuple):
-    """Where a report comes from.
-
-    Attributes:
-        date: when it was written.
-        data: what was evaluated on, with a hash.
-        command: what was typed.
-        version: this program's, with a hash of its code.
-        weights: hashes of the weights, by method.
-    """
+    """Where a report comes from."""
 
     date: str
-    data: str
-    command: str
-    version: str
-    weights: Mapping[str, str]
+    data: str  # what was evaluated on, with a hash
+    command: str  # what was typed
+    version: str  # this program's, with a hash of its code
+    weights: Mapping[str, str]  # hashes of the weights, by method
 
 
 class Exhibit(NamedTuple):
-    """An object's pictures, ready for the page.
-
-    Attributes:
-        name: the entry's.
-        caption: a line on it.
-        sheet: its sheet as a data URI.
-        truth: the true normals as a data URI; empty where withheld.
-        estimates: per method that ran: label, normals and errors as data URIs (errors
-            empty where the truth is withheld), and a line with its scores.
-    """
+    """An object's pictures, ready for the page; empty where the truth is withheld."""
 
     name: str
-    caption: str
-    sheet: str
-    truth: str
+    caption: str  # a line on it
+    sheet: str  # a data URI, as all pictures here
+    truth: str  # the true normals
+    # of each method that ran: label, normals, errors, and a line with its scores
     estimates: Sequence[tuple[str, str, str, str]]
 
 
@@ -68,15 +52,7 @@ def exhibit(
     case: Case,
     panels: Sequence[Panel],
 ) -> Exhibit:
-    """Packs an object's pictures.
-
-    Args:
-        name: the entry's.
-        caption: a line on it.
-        sheet_png: its sheet.
-        case: what the methods were given.
-        panels: the methods.
-    """
+    """Packs an object's pictures."""
     window = frame(case.observed.mask)
 
     def pack(picture: np.ndarray) -> str:
@@ -108,17 +84,7 @@ def report(
     tables: Sequence[Table],
     exhibits: Sequence[Exhibit],
 ) -> bytes:
-    """Writes the page.
-
-    Args:
-        header: of the page.
-        results: of the run.
-        tables: as `summary.tables` makes them.
-        exhibits: the objects' pictures; may be empty.
-
-    Returns:
-        HTML.
-    """
+    """Writes the page: HTML, with the tables that `summary.tables` makes."""
     pictures = [
         {
             "name": exhibit.name,

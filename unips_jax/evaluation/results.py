@@ -11,23 +11,14 @@ from unips_jax.evaluation.scores import Score, mean_score
 
 @dataclasses.dataclass(frozen=True)
 class Results:
-    """The results of a run.
-
-    Attributes:
-        benchmark: its name.
-        protocol: its label.
-        methods: what each method is, a line, by label, in order.
-        counts: numbers of images; None for all.
-        results: in the order of the tasks.
-        seeds: of the subsets of images.
-    """
+    """The results of a run, in the order of the tasks."""
 
     benchmark: str
-    protocol: str
-    methods: Mapping[str, str]
-    counts: Sequence[int | None]
+    protocol: str  # its label
+    methods: Mapping[str, str]  # what each method is, a line, by label, in order
+    counts: Sequence[int | None]  # numbers of images; None for all
     results: Sequence[Result]
-    seeds: Sequence[int] = (0,)
+    seeds: Sequence[int] = (0,)  # of the subsets of images
 
     @property
     def labels(self) -> list[str]:
@@ -155,8 +146,8 @@ def complete(results: Results, tags: Mapping[str, str]) -> set[str]:
 def common(results: Results) -> dict[str, list[Score]]:
     """The methods that share entries, and their scores of these.
 
-    Methods that have more entries come first; one that shares none with those before
-    it is left out.
+    Methods that have more entries come first; one that shares none with those before it
+    is left out.
     """
     scored = {
         label: {

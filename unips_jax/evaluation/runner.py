@@ -27,36 +27,22 @@ _POLL_S = 0.2
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """A finished task.
+    """A finished task."""
 
-    Attributes:
-        entry: the object's name.
-        tags: the object's tags.
-        notes: quirks of its data.
-        label: the method's.
-        count: number of images asked for; None for all.
-        images: number of images used.
-        score: None where the truth is withheld or the method could not run.
-        measures: the method's own figures, by name.
-        unsupported: why the method could not run, empty where it did.
-        name: of the result in the store.
-        seed: of the subset; None where all images are used.
-        turned: of methods that are not ours: mean errors with their axes turned.
-        integrability: of these where the truth is withheld; see `io.normal_maps`.
-    """
-
-    entry: str
+    entry: str  # the object's name
     tags: Mapping[str, str]
-    notes: Sequence[str]
-    label: str
-    count: int | None
-    images: int
-    score: Score | None
-    measures: Mapping[str, float]
-    unsupported: str
-    name: str
-    seed: int | None = None
+    notes: Sequence[str]  # quirks of its data
+    label: str  # the method's
+    count: int | None  # of images asked for; None for all
+    images: int  # how many were used
+    score: Score | None  # None where the truth is withheld or the method could not run
+    measures: Mapping[str, float]  # the method's own figures, by name
+    unsupported: str  # why the method could not run, empty where it did
+    name: str  # of the result in the store
+    seed: int | None = None  # of the subset; None where all images are used
+    # of methods that are not ours: mean errors with their axes turned
     turned: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    # of these where the truth is withheld; see `io.normal_maps`
     integrability: float = 0.0
 
     @property
@@ -68,8 +54,7 @@ class Result:
 def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
     """Finishes all tasks, here or in other processes that share the store.
 
-    Yields:
-        Each task when its result is there.
+    Yields each task when its result is there.
     """
     waiting = list(tasks)
     while waiting:
@@ -164,14 +149,10 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
 
 
 def estimate(variant: Variant, case: Case) -> Estimated:
-    """Runs a method on a prepared object.
+    """Runs a method: normals `[h, w, 3]`, float32, and its figures.
 
-    Returns:
-        Normals `[h, w, 3]`, float32, as the method gives them, and its figures.
-
-    Raises:
-        Unsupported: if the method lacks something.
-        ValueError: if what it gives has another shape.
+    Raises `Unsupported` if the method lacks something, `ValueError` if what it gives
+    has another shape.
     """
     if variant.oracle and case.normals is None:
         raise Unsupported("sign=oracle: needs the true normals, which are withheld")

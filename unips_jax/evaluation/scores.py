@@ -14,53 +14,29 @@ VIEW_EDGES_DEG = (0, 15, 30, 45, 60, 75, 90)
 
 
 class Score(NamedTuple):
-    """Errors of one estimate over the object's pixels, in degrees.
+    """Errors of one estimate over the object's pixels, in degrees."""
 
-    Attributes:
-        pixels: number of pixels compared.
-        mae: mean angular error.
-        median: median angular error.
-        within: percentages of pixels with errors below 5, 11.25, 22.5 and 30 degrees.
-        histogram: pixels per degree of error, 180 numbers.
-        view_pixels: pixels per bin of the angle between true normal and viewer.
-        view_sums: sums of errors in the same bins.
-        zero_truth: pixels whose true normal has zero length, counted as 90 degrees.
-        invalid: pixels where the estimate is not finite or zero, counted as 90.
-    """
-
-    pixels: int
-    mae: float
+    pixels: int  # how many were compared
+    mae: float  # the mean angular error
     median: float
+    # percentages of pixels with errors below 5, 11.25, 22.5 and 30 degrees
     within: tuple[float, ...]
-    histogram: tuple[int, ...]
+    histogram: tuple[int, ...]  # pixels per degree of error, 180 numbers
+    # pixels per bin of the angle between true normal and viewer
     view_pixels: tuple[int, ...]
-    view_sums: tuple[float, ...]
-    zero_truth: int
-    invalid: int
+    view_sums: tuple[float, ...]  # sums of errors in the same bins
+    zero_truth: int  # pixels whose true normal has zero length, counted as 90 degrees
+    invalid: int  # pixels where the estimate is not finite or zero, counted as 90
 
 
 def error_map(estimate: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Angular errors in degrees; 90 where either vector is zero or not finite.
-
-    Args:
-        estimate: `[H, W, 3]`.
-        true: `[H, W, 3]`.
-
-    Returns:
-        `[H, W]`, in [0, 180].
-    """
+    """Angular errors `[H, W]` in degrees; 90 where either is zero or not finite."""
     finite = np.isfinite(estimate).all(axis=-1, keepdims=True)
     return np.asarray(angular_error_deg(np.where(finite, estimate, 0), true))
 
 
 def score(estimate: np.ndarray, true: np.ndarray, mask: np.ndarray) -> Score:
-    """Compares an estimate with the truth.
-
-    Args:
-        estimate: `[H, W, 3]`, of any length.
-        true: `[H, W, 3]`.
-        mask: `[H, W]`, bool, not empty.
-    """
+    """Compares an estimate `[H, W, 3]`, of any length, with the truth in a mask."""
     errors = error_map(estimate, true)[mask].astype(np.float64)
     true = true[mask].astype(np.float64)
     estimate = estimate[mask]
@@ -88,11 +64,6 @@ def best_signs(estimate: np.ndarray, true: np.ndarray, mask: np.ndarray) -> np.n
 
     Methods that cannot tell convex from concave are compared so in publications; an
     oracle, to be marked in any table.
-
-    Args:
-        estimate: `[H, W, 3]`.
-        true: `[H, W, 3]`.
-        mask: `[H, W]`, bool, not empty.
     """
     turned = [
         estimate * np.array(s, np.float32) for s in itertools.product((1, -1), repeat=3)

@@ -10,31 +10,17 @@ from unips_jax.evaluation.styles import styles
 
 
 class Shown(NamedTuple):
-    """A cell or a heading.
-
-    Attributes:
-        text: as shown.
-        value: the number to sort by; None for words.
-        kinds: its CSS classes.
-        note: the number of its note; 0 for none.
-        color: of the method it names; empty for others.
-    """
+    """A cell or a heading."""
 
     text: str
-    value: float | None = None
-    kinds: str = ""
-    note: int = 0
-    color: str = ""
+    value: float | None = None  # the number to sort by; None for words
+    kinds: str = ""  # its CSS classes
+    note: int = 0  # the number of its note; 0 for none
+    color: str = ""  # of the method it names; empty for others
 
 
 class Part(NamedTuple):
-    """Rows that belong together and are sorted among themselves.
-
-    Attributes:
-        kind: of the rows.
-        heading: a line above them; empty for none.
-        rows: the cells.
-    """
+    """Rows that belong together and are sorted among themselves, with a line above."""
 
     kind: Kind
     heading: str
@@ -42,23 +28,14 @@ class Part(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A table of the report.
-
-    Attributes:
-        name: of the table.
-        title: one line.
-        columns: headings, with their methods' colours.
-        numeric: places of the columns that hold numbers, set flush right.
-        parts: the rows.
-        notes: what the cells' notes say, in order.
-    """
+    """A table of the report."""
 
     name: str
     title: str
-    columns: Sequence[Shown]
-    numeric: set[int]
+    columns: Sequence[Shown]  # headings, with their methods' colours
+    numeric: set[int]  # places of the columns that hold numbers, set flush right
     parts: Sequence[Part]
-    notes: Sequence[str]
+    notes: Sequence[str]  # what the cells' notes hold, in order
 
 
 def sections(results: Results, tables: Sequence[Table]) -> list[Section]:

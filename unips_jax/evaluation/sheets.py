@@ -40,32 +40,16 @@ _SOFT = "#667085"
 
 
 class Panel(NamedTuple):
-    """One method on one object.
-
-    Attributes:
-        label: the method's.
-        normals: `[h, w, 3]`; None where the method could not run.
-        mae: mean angular error in degrees; None where there is no truth.
-        unsupported: why the method could not run; empty where it did.
-    """
+    """One method on one object."""
 
     label: str
-    normals: np.ndarray | None
-    mae: float | None
-    unsupported: str = ""
+    normals: np.ndarray | None  # `[h, w, 3]`; None where the method could not run
+    mae: float | None  # in degrees; None where there is no truth
+    unsupported: str = ""  # why the method could not run; empty where it did
 
 
 def sheet(title: str, case: Case, panels: Sequence[Panel]) -> bytes:
-    """Draws an object's sheet.
-
-    Args:
-        title: its heading.
-        case: what the methods were given.
-        panels: the methods, in order.
-
-    Returns:
-        A PNG.
-    """
+    """Draws an object's sheet, with the methods in order, as a PNG."""
     columns = min(max(len(panels) + 1, _LEAST), _MOST)
     blocks = _blocks(panels, columns)
     width = columns * _CELL + (columns + 1) * _GAP

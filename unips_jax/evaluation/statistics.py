@@ -17,36 +17,20 @@ _DRAWS = 10_000
 
 
 class Pair(NamedTuple):
-    """Two methods on the objects that both have.
+    """Two methods on the objects that both have."""
 
-    Attributes:
-        objects: how many.
-        mean: the first one's mean error, in degrees.
-        other: the second one's.
-        interval: of the mean difference, first minus second; None of few objects.
-        lower: on how many objects the first is lower.
-        higher: on how many the second is.
-        p: of the sign test.
-    """
-
-    objects: int
-    mean: float
-    other: float
+    objects: int  # how many
+    mean: float  # the first one's mean error, in degrees
+    other: float  # the second one's
+    # of the mean difference, first minus second; None of few objects
     interval: tuple[float, float] | None
-    lower: int
-    higher: int
-    p: float
+    lower: int  # on how many objects the first is lower
+    higher: int  # on how many the second is
+    p: float  # of the sign test
 
 
 def interval(values: Mapping[str, Sequence[float]]) -> tuple[float, float] | None:
-    """A 95 % interval of the mean over entries.
-
-    Args:
-        values: of each object's entries.
-
-    Returns:
-        Its ends; None of fewer than three objects.
-    """
+    """A 95 % interval of the mean over objects' entries; None of fewer than three."""
     if len(values) < LEAST_OBJECTS:
         return None
     sums = np.array([sum(own) for own in values.values()])
@@ -60,15 +44,7 @@ def interval(values: Mapping[str, Sequence[float]]) -> tuple[float, float] | Non
 def compare(
     first: Mapping[str, Mapping[str, float]], second: Mapping[str, Mapping[str, float]]
 ) -> Pair | None:
-    """Compares two methods on the entries that both have.
-
-    Args:
-        first: errors by object and entry.
-        second: the other's.
-
-    Returns:
-        None where they share nothing.
-    """
+    """Compares errors, by object and entry, of what both have; None of nothing."""
     from scipy.stats import binomtest
 
     pairs = {

@@ -22,28 +22,16 @@ from unips_jax.io.normals import encode_normals, read_normals
 
 
 def result_key(fields: Mapping[str, Any]) -> str:
-    """A short hash of everything a result depends on.
-
-    Args:
-        fields: JSON values.
-    """
+    """A short hash of everything, JSON values, that a result depends on."""
     text = json.dumps(fields, sort_keys=True, default=repr)
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 class Store:
-    """The folder.
-
-    Attributes:
-        root: where everything is.
-    """
+    """The folder `root`; it can be written to."""
 
     def __init__(self, root: str | os.PathLike[str]):
-        """Makes the folder.
-
-        Raises:
-            InputError: if it cannot be made or written to.
-        """
+        """Makes the folder."""
         self.root = Path(root)
         try:
             for name in ("results", ".locks"):
@@ -57,15 +45,7 @@ class Store:
 
     @contextlib.contextmanager
     def claim(self, name: str, *, wait: bool = False) -> Iterator[bool]:
-        """Claims a piece of work until the block ends.
-
-        Args:
-            name: of the work.
-            wait: until nobody else has it.
-
-        Yields:
-            Whether it is ours.
-        """
+        """Claims a piece of work until the block ends; see `io.claims.claim`."""
         with claim(self.root / ".locks" / slug(name), wait=wait) as ours:
             yield ours
 
@@ -78,11 +58,7 @@ class Store:
         return self.path(name).is_file()
 
     def load(self, name: str) -> dict[str, Any]:
-        """Reads a result.
-
-        Raises:
-            InputError: if someone else than this program changed it.
-        """
+        """Reads a result, which someone else may have changed: then `InputError`."""
         path = self.path(name)
         try:
             return json.loads(path.read_bytes())
@@ -94,15 +70,9 @@ class Store:
     def commit(
         self, name: str, record: Mapping[str, Any], normals: np.ndarray | None
     ) -> None:
-        """Puts a result in place. The caller has claimed it.
+        """Puts a result in place, JSON values. The caller has claimed it.
 
-        Args:
-            name: of the result.
-            record: JSON values.
-            normals: `[H, W, 3]`, unit or zero, kept as a 16-bit PNG; see `io.normals`.
-
-        Raises:
-            InputError: if it cannot be written.
+        `normals` are `[H, W, 3]`, unit or zero, kept as a 16-bit PNG; see `io.normals`.
         """
         path = self.path(name)
         if normals is not None:
@@ -112,11 +82,7 @@ class Store:
         write_whole(path, text.encode())
 
     def normals(self, name: str) -> np.ndarray:
-        """A result's normal map, `[H, W, 3]`, float32, unit or zero.
-
-        Raises:
-            InputError: if someone else than this program changed it.
-        """
+        """A result's normal map, `[H, W, 3]`, float32, unit or zero."""
         path = self.path(name).with_suffix(".png")
         try:
             return read_normals(path)

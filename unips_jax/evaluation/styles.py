@@ -34,26 +34,16 @@ _WIDEST, _THINNEST = 3.4, 1.3
 
 
 class Style(NamedTuple):
-    """A method's line.
+    """A method's line."""
 
-    Attributes:
-        color: as `#rrggbb`; of a name always the same, of its variants
-            darker or lighter.
-        dashes: lengths of strokes and gaps in points, as in SVG; empty for none.
-        width: in points. Later lines are thinner, so that they hide none below.
-    """
-
+    # `#rrggbb`, for a name always the same; its variants are darker or lighter
     color: str
-    dashes: str
-    width: float
+    dashes: str  # lengths of strokes and gaps in points, as in SVG; empty for none
+    width: float  # in points. Later lines are thinner, so that they hide none below.
 
 
 def styles(labels: Sequence[str]) -> dict[str, Style]:
-    """The styles of a run's methods.
-
-    Args:
-        labels: of all methods, in the order of drawing.
-    """
+    """The styles of a run's methods, in the order of drawing."""
     made: dict[str, Style] = {}
     seen: dict[str, int] = {}
     step = (_WIDEST - _THINNEST) / max(len(labels) - 1, 1)

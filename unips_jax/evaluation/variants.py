@@ -21,34 +21,20 @@ DAGGER = "\N{DAGGER}"
 
 
 class Variant(NamedTuple):
-    """A method with its options: a column of the tables.
+    """A method with its options: a column of the tables."""
 
-    Attributes:
-        label: its name in tables, unique in a run.
-        key: what its results depend on, as JSON values.
-        run: the method.
-        about: what it is, one line.
-        oracle: whether the truth chooses the signs of its normals.
-        files: where its normals lie, in place of `run`, which then only refuses.
-        foreign: it is not ours: whether its axes seem turned is looked at.
-    """
-
-    label: str
-    key: dict[str, Any]
+    label: str  # its name in tables, unique in a run
+    key: dict[str, Any]  # what its results depend on, as JSON values
     run: Method
-    about: str = ""
-    oracle: bool = False
+    about: str = ""  # what it is, one line
+    oracle: bool = False  # whether the truth chooses the signs of its normals
+    # where its normals lie, in place of `run`, which then only refuses
     files: "NormalFiles | None" = None
-    foreign: bool = False
+    foreign: bool = False  # not ours: are its axes turned?
 
 
 def parse_options(request: str, text: str) -> dict[str, Any]:
-    """The options of `option=value,option=value`.
-
-    Args:
-        request: the whole of what was asked for, for errors.
-        text: its options.
-    """
+    """The options `option=value,option=value` of a whole request, named in errors."""
     options: dict[str, Any] = {}
     # Commas inside parentheses belong to a value.
     for part in re.split(r",(?![^()]*\))", text) if text else []:

@@ -27,10 +27,8 @@ class Camera:
     """One pose of an SfMData file, with its camera.
 
     `photographs` are the files of all its views, `view` the number of the first; `size`
-    is
-    width and height; `matrix` (K) is `[3, 3]`, `rotation` (R) `[3, 3]`, `center` (C)
-    `[3]`.
-    `distorted`: the file gives distortions, which K leaves out.
+    is width and height; `matrix` (K) is `[3, 3]`, `rotation` (R) `[3, 3]`, `center` (C)
+    `[3]`. `distorted`: the file gives distortions, which K leaves out.
     """
 
     pose: str
@@ -123,8 +121,7 @@ def sfm_data_of(
     """SfMData with one view for each camera: its file, of a size (width, height).
 
     Intrinsics are scaled; left out are those of other views, and observations of
-    points,
-    which belong to the photographs.
+    points, which belong to the photographs.
     """
     lenses: dict[tuple[str, tuple[int, int]], dict[str, Any]] = {}
     views = []
@@ -214,8 +211,8 @@ def idr_cameras(
     """Arrays of a `cameras.npz`, `[4, 4]`.
 
     `world_mat_i` takes points of the world to pixels, `scale_mat_i` the unit sphere to
-    the
-    one around the object. Source: https://github.com/lioryariv/idr, DATA_CONVENTION.md.
+    the one around the object. Source: https://github.com/lioryariv/idr,
+    DATA_CONVENTION.md.
     """
     scale = np.diag([radius, radius, radius, 1.0])
     scale[:3, 3] = center

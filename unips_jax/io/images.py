@@ -33,22 +33,14 @@ _WIDEST = 40  # bytes of a pixel: four doubles and room for metadata
 
 @dataclasses.dataclass(frozen=True)
 class ImageFile:
-    """An image file, read.
-
-    Attributes:
-        pixels: `[H, W, C]`, C = 3 (RGB) or 1 (grey), uint8, uint16 or float32.
-        alpha: `[H, W]`, of the same type; None where there is none.
-        orientation: by EXIF, 1 (upright) to 8, applied already.
-        focal: focal length in pixels, by EXIF; None where unknown.
-        header: what else the file says.
-    """
+    """An image file, read."""
 
     path: Path
-    pixels: np.ndarray
-    alpha: np.ndarray | None
-    orientation: int
-    focal: float | None
-    header: Encoded
+    pixels: np.ndarray  # `[H, W, C]`, C = 3 (RGB) or 1 (grey), uint8, uint16 or float32
+    alpha: np.ndarray | None  # `[H, W]`, of the same type; None where there is none
+    orientation: int  # by EXIF, 1 (upright) to 8, applied already
+    focal: float | None  # focal length in pixels, by EXIF; None where unknown
+    header: Encoded  # what else the file says
 
     @property
     def encoding(self) -> Encoding:

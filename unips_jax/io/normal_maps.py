@@ -54,19 +54,15 @@ _OTHERS: dict[NormalMap, tuple[NormalMap, ...]] = {
 
 
 class Examined(NamedTuple):
-    """A normal map, read.
+    """A normal map, read."""
 
-    Attributes:
-        normals: `[H, W, 3]`, float32, x right, y up, z towards the viewer, of unit
-            length, 0 where there is no surface.
-        mended: what was certain, a line each.
-        doubts: what is likely, a line each, with the option that settles it.
-        integrability: the correlation of dp/dy and dq/dx, 0 where nothing is known.
-    """
-
+    # `[H, W, 3]`, float32, x right, y up, z towards the viewer, of unit length, 0 where
+    # there is no surface
     normals: np.ndarray
-    mended: tuple[str, ...] = ()
+    mended: tuple[str, ...] = ()  # what was certain, a line each
+    # what is likely, a line each, with the option that settles it
     doubts: tuple[str, ...] = ()
+    # the correlation of dp/dy and dq/dx, 0 where nothing is known
     integrability: float = 0.0
 
 
@@ -180,8 +176,7 @@ def integrability(normals: np.ndarray) -> float:
     """The correlation of dp/dy and dq/dx, above 0 where normals are a surface's.
 
     From -1 to 1; 0 where fewer than 200 squares of 2 x 2 pixels have normals that are
-    not
-    steep. `normals` are `[H, W, 3]`, 0 where none.
+    not steep. `normals` are `[H, W, 3]`, 0 where none.
     """
     fine = normals[..., 2] > _STEEP
     z = np.where(fine, normals[..., 2], 1)

@@ -66,8 +66,7 @@ def foreground(values: np.ndarray, there: np.ndarray) -> np.ndarray:
     """The pixels but for those of the one colour that most of the border has.
 
     `[H, W]`, bool; `there` itself where little else would be left. Values are of the
-    order
-    of 1.
+    order of 1.
     """
     ring = np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
     colors, counts = np.unique(np.round(ring, 2), axis=0, return_counts=True)

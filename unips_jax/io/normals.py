@@ -1,9 +1,9 @@
 """Normals as pixels, and on disk.
 
-Arrays (`.npy`, `.mat`) hold unit normals, x right, y up, z towards the viewer, 0 on
-the background. Normal maps are images of integers, `(n + 1) / 2` of full scale rounded
-to the nearest in R, G, B, or float images (EXR, TIFF) holding n. Zero lies between two
-of the integers; the upper one, 32768 of 16 bits, stands for it. Either, in all three
+Arrays (`.npy`, `.mat`) hold unit normals, x right, y up, z towards the viewer, 0 on the
+background. Normal maps are images of integers, `(n + 1) / 2` of full scale rounded to
+the nearest in R, G, B, or float images (EXR, TIFF) holding n. Zero lies between two of
+the integers; the upper one, 32768 of 16 bits, stands for it. Either, in all three
 channels, is read as 0. DirectX maps have y, the green channel, flipped; OpenCV's are in
 the frame of its cameras, x right, y down, z away from the viewer; those of x-left have
 x, the red channel, flipped; OpenGL's are as the arrays.
@@ -49,8 +49,7 @@ def write_normals(
     """Writes `normals.png` and `normals.npy`, and on request `.exr` and `.mat`.
 
     `normals.mat` is for MATLAB, key `Normal_est`. `normal_map`: the convention of the
-    PNG
-    and the EXR.
+    PNG and the EXR.
     """
     turned = turn_normals(normals, normal_map)
     write_image(folder / "normals.png", encode_normals(turned))

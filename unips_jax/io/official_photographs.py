@@ -1,9 +1,8 @@
 """The authors' own preprocessing, for results comparable with theirs.
 
-Square crop around the mask (but none for training folders), nearest-neighbour resize
-to a fixed size (the aspect is not kept), division by the mean inside the mask. Every
-file is taken as linear. For everything else there is
-`io.photographs.read_photographs`.
+Square crop around the mask (but none for training folders), nearest-neighbour resize to
+a fixed size (the aspect is not kept), division by the mean inside the mask. Every file
+is taken as linear. For everything else there is `io.photographs.read_photographs`.
 """
 
 from collections.abc import Callable
@@ -76,8 +75,7 @@ def official_crop(mask: np.ndarray) -> tuple[slice, slice]:
     """The authors' crop around a mask `[H, W]`: rows and columns.
 
     If its bounding box with a margin of 4 pixels does not stay strictly inside the
-    image,
-    nothing is cropped.
+    image, nothing is cropped.
     """
     if not mask.any():
         return slice(None), slice(None)

@@ -2,11 +2,11 @@
 
 Which files are taken: see `io.selection`.
 
-The mask is `mask.png` (or another format), or the file given; see `io.masks`. Without
-a mask the whole image counts: nothing is cropped or stretched. Left out, mask or none,
-are pixels that are black in all photographs, where no method can work, and
-those that are transparent in one that is cut out. EXIF orientation: see `io.images`.
-How values encode light: see `io.color`.
+The mask is `mask.png` (or another format), or the file given; see `io.masks`. Without a
+mask the whole image counts: nothing is cropped or stretched. Left out, mask or none,
+are pixels that are black in all photographs, where no method can work, and those that
+are transparent in one that is cut out. EXIF orientation: see `io.images`. How values
+encode light: see `io.color`.
 """
 
 import dataclasses
@@ -37,9 +37,8 @@ class Photographs(NamedTuple):
     """Photographs in memory, as `estimate_photographs` takes them.
 
     `images` are `[N, H, W, 3]`, RGB in the files' own type: uint8, uint16 or float32,
-    gray
-    replicated; `mask` is `[H, W]`, bool, not empty; `transfer` is how values encode
-    light.
+    gray replicated; `mask` is `[H, W]`, bool, not empty; `transfer` is how values
+    encode light.
     """
 
     images: np.ndarray
@@ -49,32 +48,24 @@ class Photographs(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Capture:
-    """Photographs of one object, read, and what their files say.
+    """Photographs of one object, read, and what their files say."""
 
-    Attributes:
-        images: as in `Photographs`. Negative floats, which resampling leaves in
-            renderings, are 0, as are values outside the mask that are not finite.
-        mask: `[H, W]`, bool, with at least one pixel.
-        transfer: how the values encode light.
-        transfer_rule: where that is known from.
-        focal: focal length in pixels by the first file's EXIF; None where unknown.
-        notes: what was dealt with, one sentence each.
-        cameras: of each photograph by its EXIF data, empty where unknown.
-        exposures: time x speed / f-number squared, the same; 0 where unknown.
-        mask_contrast: how sure a mask is that was looked for; None where none was.
-        mask_rule: what found it; empty where nothing did.
-    """
-
+    # as in `Photographs`. Negative floats, which resampling leaves in renderings, are
+    # 0, as are values outside the mask that are not finite.
     images: np.ndarray
-    mask: np.ndarray
-    transfer: Transfer
-    transfer_rule: str = ""
+    mask: np.ndarray  # `[H, W]`, bool, with at least one pixel
+    transfer: Transfer  # how the values encode light
+    transfer_rule: str = ""  # where that is known from
+    # focal length in pixels by the first file's EXIF; None where unknown
     focal: float | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was dealt with, one sentence each
+    # of each photograph by its EXIF data, empty where unknown
     cameras: tuple[str, ...] = ()
+    # time x speed / f-number squared, the same; 0 where unknown
     exposures: tuple[float, ...] = ()
+    # how sure a mask is that was looked for; None where none was
     mask_contrast: float | None = None
-    mask_rule: str = ""
+    mask_rule: str = ""  # what found it; empty where nothing did
 
 
 def read_photographs(
@@ -86,8 +77,7 @@ def read_photographs(
 
     `images, mask, transfer = read_photographs("folder/")` gives what
     `estimate_photographs(network, images, mask, transfer=transfer)` takes. `track`
-    wraps
-    the list of files, to show progress.
+    wraps the list of files, to show progress.
 
     Raises:
         InputError: if a file cannot be used, sizes, types or orientations differ, the

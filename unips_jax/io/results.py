@@ -89,8 +89,7 @@ def check_target(target: Path, source: Path, *, record: str = RECORD) -> None:
     """Refuses what cannot become a folder of results, before there are any.
 
     That is the folder of the photographs, a file, a folder with files that this program
-    did
-    not write (by its `record`), or a place where nothing may be written.
+    did not write (by its `record`), or a place where nothing may be written.
     """
     try:
         _check_target(target, source, record)
@@ -117,10 +116,8 @@ def appearing_at_once(target: Path, *, record: str = RECORD) -> Iterator[Path]:
 
     An earlier folder of results is set aside and the new one put in its place, by two
     renames. Files in it that are not listed by its `record` are kept. If anything
-    fails,
-    the target stays as it was. A process that is killed before the first rename leaves
-    the
-    earlier results, after the second the new ones; between them, none, until
+    fails, the target stays as it was. A process that is killed before the first rename
+    leaves the earlier results, after the second the new ones; between them, none, until
     `clear_leftovers` brings the earlier ones back.
     """
     place = Path(os.path.realpath(target))

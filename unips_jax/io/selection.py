@@ -1,12 +1,12 @@
 """Which files of a folder are photographs, and which is their mask. Reads none.
 
-What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or else
-`0*`; elsewhere every image file. Not a normal, depth or material map, a mask, ground
-truth or this package's own output, by their names (`is_map`), and never hidden files.
-Names decide only between files: if they leave none, a numbered series with such a word
-in its name (`metal_bowl_0.png`, ...) is taken. Patterns of the user's overrule names.
-An RTI's list of lights (.lp) names the photographs; one in two formats counts once.
-Files are sorted by name; whatever is left out is listed with its reason.
+What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or else `0*`;
+elsewhere every image file. Not a normal, depth or material map, a mask, ground truth or
+this package's own output, by their names (`is_map`), and never hidden files. Names
+decide only between files: if they leave none, a numbered series with such a word in its
+name (`metal_bowl_0.png`, ...) is taken. Patterns of the user's overrule names. An RTI's
+list of lights (.lp) names the photographs; one in two formats counts once. Files are
+sorted by name; whatever is left out is listed with its reason.
 """
 
 import dataclasses
@@ -70,10 +70,8 @@ class Selection:
     """Which files of a folder are photographs.
 
     `files`, at least one, are sorted by name; `left_out` holds for each reason the
-    names
-    left out for it; `source` is the file that the photographs lie in, where the folder
-    is
-    temporary.
+    names left out for it; `source` is the file that the photographs lie in, where the
+    folder is temporary.
     """
 
     folder: Path
@@ -141,8 +139,8 @@ def select(
 def folder_name(folder: Path) -> str:
     """A folder's name as given (links are not followed), without ".data".
 
-    Of a file, a video or a TIFF of several pages, the name without its suffix.
-    Bytes that are not Unicode are replaced by question marks.
+    Of a file, a video or a TIFF of several pages, the name without its suffix. Bytes
+    that are not Unicode are replaced by question marks.
     """
     name = os.fsencode(os.path.abspath(folder)).decode(errors="replace")  # noqa: PTH100
     if folder.is_file():

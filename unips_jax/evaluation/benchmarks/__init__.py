@@ -37,15 +37,10 @@ BENCHMARKS: dict[str, type[Benchmark]] = {
 def open_benchmark(
     name: str, root: str | os.PathLike[str], *, objects: Sequence[str] = ()
 ) -> Benchmark:
-    """Opens a benchmark by name.
+    """Opens one of `BENCHMARKS`, whose folder is `root`.
 
-    Args:
-        name: one of `BENCHMARKS`.
-        root: its folder.
-        objects: keep only these objects; all where empty.
-
-    Raises:
-        InputError: if there is no such benchmark, or its layout is not as expected.
+    Only `objects` are kept where any are given. `InputError` if there is no such
+    benchmark, or its layout is not as expected.
     """
     if name not in BENCHMARKS:
         raise InputError(f"no benchmark {name!r}; there are {', '.join(BENCHMARKS)}")

@@ -19,64 +19,42 @@ from unips_jax.io.images import check_image, read_image_file, require_finite
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """One object under one lighting, known by its files.
+    """One object under one lighting, known by its files."""
 
-    Attributes:
-        name: unique in the benchmark, such as `ball` or `directional/obj003`.
-        images: the photographs, in order.
-        files: the other files that are read for it (mask, truth, lights).
-        tags: `object`, and where they apply `lighting`, `category`, `material`, `view`.
-        notes: quirks of the data that were dealt with, one sentence each.
-    """
-
-    name: str
-    images: tuple[Path, ...]
+    name: str  # unique in the benchmark, such as `ball` or `directional/obj003`
+    images: tuple[Path, ...]  # the photographs, in order
+    # the other files that are read for it (mask, truth, lights)
     files: tuple[Path, ...]
+    # `object`, and where they apply `lighting`, `category`, `material`, `view`
     tags: Mapping[str, str]
+    # quirks of the data that were dealt with, one sentence each
     notes: tuple[str, ...] = ()
 
 
 class Truth(NamedTuple):
-    """What is known about an object besides its photographs.
+    """What is known about an object besides its photographs."""
 
-    Attributes:
-        mask: `[H, W]`, bool.
-        normals: `[H, W, 3]`, float32, as published (zero where unknown); None where
-            the truth is withheld.
-        lights: known distant lights of all images.
-        focal: focal length in pixels; infinite for an orthographic camera, None where
-            unknown.
-        notes: quirks met.
-    """
-
-    mask: np.ndarray
+    mask: np.ndarray  # `[H, W]`, bool
+    # `[H, W, 3]`, float32, as published (zero where unknown); None where the truth is
+    # withheld
     normals: np.ndarray | None
-    lights: Lights | None = None
+    lights: Lights | None = None  # known distant lights of all images
+    # in pixels; infinite for an orthographic camera, None where unknown
     focal: float | None = None
     notes: tuple[str, ...] = ()
 
 
 class Item(NamedTuple):
-    """An object, read.
-
-    Attributes:
-        name: as in `Entry`.
-        images: `[N, H, W, 3]`, uint8, uint16 or float32, taken as linear.
-        mask: `[H, W]`, bool, True on the object.
-        normals: `[H, W, 3]`, float32; zero outside the mask and where the published
-            truth has no direction; None where the truth is withheld.
-        lights: known distant lights.
-        focal: focal length in pixels; infinite for an orthographic camera, None where
-            unknown.
-        tags: as in `Entry`.
-        notes: quirks of the data that were dealt with.
-    """
+    """An object, read; `name`, `tags` and `notes` as in `Entry`."""
 
     name: str
-    images: np.ndarray
-    mask: np.ndarray
+    images: np.ndarray  # `[N, H, W, 3]`, uint8, uint16 or float32, taken as linear
+    mask: np.ndarray  # `[H, W]`, bool
+    # `[H, W, 3]`, float32; zero outside the mask and where the published truth has no
+    # direction; None where the truth is withheld
     normals: np.ndarray | None
-    lights: Lights | None
+    lights: Lights | None  # known distant lights
+    # in pixels; infinite for an orthographic camera, None where unknown
     focal: float | None
     tags: Mapping[str, str]
     notes: tuple[str, ...]
@@ -85,8 +63,9 @@ class Item(NamedTuple):
 class Benchmark(abc.ABC):
     """A benchmark as published, on disk.
 
-    Building one checks the layout: every file that will be read must be there.
-    `check` reads an object's files through; `benchmark[i]` gives the object.
+    Building one checks the layout: every file that will be read must be there. `check`
+    reads an object's files through; `benchmark[i]` gives the object. What is missing,
+    damaged or does not agree is an `InputError`.
 
     Attributes:
         name: as on the command line.
@@ -104,15 +83,7 @@ class Benchmark(abc.ABC):
     crop_focal_ratio: ClassVar[float | None] = None
 
     def __init__(self, root: str | os.PathLike[str], *, objects: Sequence[str] = ()):
-        """Finds the benchmark's files.
-
-        Args:
-            root: its folder.
-            objects: keep only these (names of entries or of objects); all where empty.
-
-        Raises:
-            InputError: naming what was expected and is not there.
-        """
+        """Finds the files; keeps only `objects` (entries' or objects' names) if any."""
         self.root = files.require_folder(Path(root), f"the benchmark {self.name}")
         found = list(self.find(tuple(objects)))
         if not found:
@@ -152,11 +123,7 @@ class Benchmark(abc.ABC):
         return len(self.entries)
 
     def __getitem__(self, index: int) -> Item:
-        """Reads an object.
-
-        Raises:
-            InputError: if a file is damaged or the files do not agree.
-        """
+        """Reads an object."""
         entry = self.entries[index]
         truth = self._checked_truth(entry)
         stack, focal, notes = self.photographs(entry, truth.mask)
@@ -176,15 +143,8 @@ class Benchmark(abc.ABC):
     ) -> tuple[np.ndarray, float | None, tuple[str, ...]]:
         """Reads an object's photographs.
 
-        Args:
-            entry: the object.
-            mask: its mask.
-
-        Returns:
-            `Item`'s images, the focal length where the photographs tell it, and notes.
-
-        Raises:
-            InputError: if a file is damaged or the files do not agree.
+        Returns `Item`'s images, the focal length where the photographs tell it, and
+        notes.
         """
         stack: np.ndarray | None = None
         for i, path in enumerate(entry.images):
@@ -203,12 +163,8 @@ class Benchmark(abc.ABC):
     def check(self, index: int) -> str:
         """Reads an object's files through without keeping its photographs.
 
-        Returns:
-            The fingerprint of its data: a hash of the names (relative to the root) and
-            contents of all its files, and of what the reader made of them.
-
-        Raises:
-            InputError: if a file is damaged or the files do not agree.
+        Returns the fingerprint of its data: a hash of the names (relative to the root)
+        and contents of all its files, and of what the reader made of them.
         """
         entry = self.entries[index]
         truth = self._checked_truth(entry)
@@ -225,7 +181,7 @@ class Benchmark(abc.ABC):
     ) -> Iterator[tuple[Path, bytes]]:
         """Yields the photographs' files and contents, once they are known to be sound.
 
-        Arguments and errors are those of `photographs`.
+        Errors are those of `photographs`.
         """
         first: np.dtype | None = None
         for path in entry.images:
@@ -294,16 +250,11 @@ class Benchmark(abc.ABC):
 def distant_lights(
     directions: np.ndarray, intensities: np.ndarray | None, where: Path
 ) -> Lights:
-    """Lights from tables, directions brought to unit length.
+    """Lights from tables `[N, 3]`, directions to the light brought to unit length.
 
-    Args:
-        directions: `[N, 3]`, surface to light.
-        intensities: `[N, 3]`; None where all are 1.
-        where: the folder they came from, for errors.
-
-    Raises:
-        InputError: if a direction is zero, an intensity not positive, or the numbers
-            of rows differ.
+    Intensities are 1 where None. `InputError`, naming the folder `where` they came
+    from, if a direction is zero, an intensity not positive, or the numbers of rows
+    differ.
     """
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     if (length == 0).any():

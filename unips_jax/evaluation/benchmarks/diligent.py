@@ -136,8 +136,8 @@ class Diligent102(Benchmark):
 
     The truth is withheld: the evaluation writes, for each method, a submission
     `{name}.mat` with the variable `Normal_est`. Where `filenames.txt` is absent the
-    images are those with numbers for names (how the public release names them could
-    not be checked).
+    images are those with numbers for names (how the public release names them could not
+    be checked).
     """
 
     name = "diligent102"
@@ -176,8 +176,7 @@ class Diligent102(Benchmark):
 def submission_bytes(normals: np.ndarray) -> bytes:
     """A DiLiGenT10^2 submission as a MATLAB file, the same bytes every time.
 
-    Args:
-        normals: `[1001, 1001, 3]`, zero outside the mask.
+    `normals` are `[1001, 1001, 3]`, zero outside the mask.
     """
     from scipy.io import savemat
 

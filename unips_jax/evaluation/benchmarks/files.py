@@ -1,7 +1,8 @@
 """Finding and reading the files other than images, with errors that name the file.
 
 Everything here reads; nothing writes. A file that is missing, cut short or of another
-kind raises `InputError`, never a library's own exception.
+kind raises `InputError`, never a library's own exception; `what` names what was
+expected there.
 """
 
 import io
@@ -24,33 +25,21 @@ def natural_key(name: str) -> tuple[Any, ...]:
 
 
 def require_folder(path: Path, what: str) -> Path:
-    """Returns the path.
-
-    Raises:
-        InputError: if it is not a folder; `what` says what was expected there.
-    """
+    """Returns the path of a folder."""
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; expected {what}")
     return path
 
 
 def require_file(path: Path, what: str) -> Path:
-    """Returns the path.
-
-    Raises:
-        InputError: if it is not a file; `what` says what was expected there.
-    """
+    """Returns the path of a file."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; expected {what}")
     return path
 
 
 def read_bytes(path: Path) -> bytes:
-    """The file's bytes.
-
-    Raises:
-        InputError: if it cannot be read or is empty.
-    """
+    """The file's bytes, at least one."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -61,19 +50,9 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_numbers(path: Path, columns: int, what: str, *, skip: int = 0) -> np.ndarray:
-    """A text table of numbers separated by white space.
+    """A text table of numbers separated by white space: `[lines, columns]`, float64.
 
-    Args:
-        path: the file.
-        columns: numbers expected on each line; blank lines are passed over.
-        what: what the table is, for errors.
-        skip: leading lines that are not part of it.
-
-    Returns:
-        `[lines, columns]`, float64.
-
-    Raises:
-        InputError: naming the line that does not fit.
+    Blank lines are passed over, and `skip` leading ones that are not part of it.
     """
     require_file(path, what)
     text = read_bytes(path).decode("utf-8", "replace")
@@ -98,15 +77,7 @@ def read_numbers(path: Path, columns: int, what: str, *, skip: int = 0) -> np.nd
 
 
 def read_mat(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Variables of a MATLAB file (versions 4 to 7).
-
-    Args:
-        path: the file.
-        keys: the variables wanted.
-
-    Raises:
-        InputError: if the file is damaged or lacks one of them.
-    """
+    """Variables of a MATLAB file (versions 4 to 7)."""
     require_file(path, f"a MATLAB file with {', '.join(keys)}")
     content = _variables(path)
     missing = [key for key in keys if key not in content]
@@ -119,9 +90,8 @@ def read_mat(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
 def read_mat_normals(path: Path) -> np.ndarray:
     """Normals `[H, W, 3]` of a MATLAB file, as stored, float32.
 
-    Raises:
-        InputError: if it has no variable of that shape, or several and none of the
-            usual names.
+    `InputError` if it has no variable of that shape, or several and none of the usual
+    names.
     """
     content = {
         key: value
@@ -152,11 +122,7 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 def read_npz(path: Path, key: str) -> np.ndarray:
-    """One array of a NumPy archive.
-
-    Raises:
-        InputError: if the file is damaged or lacks it.
-    """
+    """One array of a NumPy archive."""
     require_file(path, f"a NumPy archive with {key}")
     content = io.BytesIO(read_bytes(path))
     try:

@@ -4,11 +4,11 @@
 2048 x 1536, `led_params.txt`, `mask.png`, `normals.png` (16 bit, n = 2 v / 65535 - 1)
 and `zgt.npz` (array `zgt`, depth).
 
-`led_params.txt`, as the authors' tools write it: a line of names, a line
-`N rows columns f x0 y0 mean_distance` (pixels and millimetres), then one line per LED:
-position (3), principal direction (3), brightness (1 or 3), anisotropy, and possibly a
-closing 0. The lights are near, so no distant lights are given: methods calibrated for
-those report that they lack them.
+`led_params.txt`, as the authors' tools write it: a line of names, a line `N rows
+columns f x0 y0 mean_distance` (pixels and millimetres), then one line per LED: position
+(3), principal direction (3), brightness (1 or 3), anisotropy, and possibly a closing 0.
+The lights are near, so no distant lights are given: methods calibrated for those report
+that they lack them.
 """
 
 from collections.abc import Iterator
@@ -30,15 +30,10 @@ _IMAGES = 52
 
 
 class Leds(NamedTuple):
-    """What `led_params.txt` says.
+    """What `led_params.txt` holds."""
 
-    Attributes:
-        focal: focal length in pixels.
-        positions: `[N, 3]`, of the LEDs, in millimetres, as in the file.
-    """
-
-    focal: float
-    positions: np.ndarray
+    focal: float  # in pixels
+    positions: np.ndarray  # `[N, 3]`, in millimetres, as in the file
 
 
 class Luces(Benchmark):
@@ -87,11 +82,7 @@ class Luces(Benchmark):
 
 
 def read_leds(path: Path) -> Leds:
-    """Reads `led_params.txt`.
-
-    Raises:
-        InputError: naming the line that does not fit.
-    """
+    """Reads `led_params.txt`; an `InputError` names the line that does not fit."""
     files.require_file(path, "LUCES's camera and lights")
     lines = files.read_bytes(path).decode("utf-8", "replace").splitlines()
     rows = [line.split() for line in lines[1:] if line.strip()]

@@ -30,44 +30,27 @@ class Damaged(Exception):  # noqa: N818
 
 @dataclasses.dataclass(frozen=True)
 class Encoded:
-    """What a file's header says, before its pixels are decoded.
+    """What a file's header says, before its pixels are decoded."""
 
-    Attributes:
-        format: its name.
-        height: rows, as stored.
-        width: columns, as stored.
-        channels: as stored, alpha included.
-        has_alpha: whether the last channel is alpha.
-        dtype: of the pixels: uint8, uint16 or float32.
-        decode: gives them, `[H, W]` or `[H, W, channels]`.
-        allocated: pixels that the decoder will hold; 0 where they are H x W.
-        checked: whether checksums have shown already that the pixels are sound.
-        orientation: by EXIF, 1 (upright) to 8.
-        focal_35mm: 35 mm equivalent of the focal length in mm; 0 where unknown.
-        icc: the colour profile; empty where there is none.
-        code: of the transfer function, a key of `color.CURVES`; 0 where unknown.
-        gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unknown.
-        srgb: whether a tag other than the profile says sRGB.
-        camera: its maker and model; empty where unknown.
-        exposure: seconds times ISO speed over the squared f-number; 0 where unknown.
-    """
-
-    format: str
-    height: int
-    width: int
-    channels: int
-    has_alpha: bool
-    dtype: np.dtype
-    decode: Callable[[], np.ndarray]
-    allocated: int = 0
+    format: str  # its name
+    height: int  # rows, as stored
+    width: int  # columns, as stored
+    channels: int  # as stored, alpha included
+    has_alpha: bool  # whether the last channel is alpha
+    dtype: np.dtype  # of the pixels: uint8, uint16 or float32
+    decode: Callable[[], np.ndarray]  # gives them, `[H, W]` or `[H, W, channels]`
+    allocated: int = 0  # pixels that the decoder will hold; 0 where they are H x W
+    # whether checksums have shown already that the pixels are sound
     checked: bool = False
-    orientation: int = 1
-    focal_35mm: float = 0
-    icc: bytes = b""
-    code: int = 0
+    orientation: int = 1  # by EXIF, 1 (upright) to 8
+    focal_35mm: float = 0  # 35 mm equivalent of the focal length in mm; 0 where unknown
+    icc: bytes = b""  # the colour profile; empty where there is none
+    code: int = 0  # of the transfer function, a key of `color.CURVES`; 0 where unknown
+    # exponent by which values encode light, such as 1 / 2.2; 0 where unknown
     gamma: float = 0
-    srgb: bool = False
-    camera: str = ""
+    srgb: bool = False  # whether a tag other than the profile says sRGB
+    camera: str = ""  # its maker and model; empty where unknown
+    # seconds times ISO speed over the squared f-number; 0 where unknown
     exposure: float = 0
 
     @property

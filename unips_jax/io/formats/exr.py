@@ -29,8 +29,7 @@ def open_exr(data: bytes, *, vectors: bool = False) -> Encoded:
     """Reads an EXR's headers.
 
     With `vectors` the picture is a normal map: channels X, Y, Z are read too, and
-    layers
-    named as maps.
+    layers named as maps.
     """
     headers = [part.header for part in OpenEXR.File(io.BytesIO(data), **_HEADERS).parts]
     index, names = _picture(headers, vectors)
