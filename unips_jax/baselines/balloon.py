@@ -27,14 +27,9 @@ _LIMIT = 10_000  # iterations at most
 def balloon(mask: Array, volume: Array | float) -> Array:
     """Blows a balloon up over a mask, by projected gradient descent on its area.
 
-    Args:
-        mask: `[H, W]`, bool.
-        volume: mean height over the mask, in pixels, > 0.
-
-    Returns:
-        Heights `[H, W]`, float32, >= 0 up to rounding; zero on the boundary (the mask
-        minus its erosion by a 3x3 cross, the image's border counting as outside) and
-        outside.
+    `volume` is the mean height over the mask, in pixels, > 0. Returns heights `[H, W]`,
+    float32, >= 0 up to rounding; zero outside and on the boundary (the mask minus its
+    erosion by a 3x3 cross, the image's border counting as outside).
     """
     mask = jnp.asarray(mask, bool)
     start = jnp.ones(mask.shape, jnp.float32)
@@ -89,13 +84,9 @@ def _balloon(mask: Array, start: Array, volume: Array) -> Array:
 def relief_normals(height: Array, mask: Array) -> Array:
     """Normals of an orthographic relief, by forward differences.
 
-    Args:
-        height: `[H, W]`, towards the viewer, in pixels; zero outside the mask.
-        mask: `[H, W]`, bool.
-
-    Returns:
-        `[3, H, W]`, unit length in the camera frame (x right, y down, z away from the
-        camera); zero outside the mask.
+    `height` is `[H, W]`, towards the viewer, in pixels, zero outside the mask. Returns
+    `[3, H, W]`, unit length in the camera frame (x right, y down, z away from the
+    camera); zero outside the mask.
     """
     slope = forward(height, mask, closed=False)
     normals = jnp.stack([-slope[0], -slope[1], -jnp.ones_like(height)])
@@ -109,16 +100,10 @@ def perspective_depth(
 ) -> Array:
     """Depth of a perspective surface with the normals of an orthographic relief.
 
-    Args:
-        height: `[H, W]`, towards the viewer, in pixels.
-        mask: `[H, W]`, bool.
-        u: `[H, W]`, columns counted from the principal point.
-        v: `[H, W]`, rows counted from the principal point.
-        focal: focal length in pixels.
-
-    Returns:
-        Depth `[H, W]`, positive inside the mask where its logarithm has mean 1, zero
-        outside. Slopes seen at more than 85 degrees from the viewing ray are ignored.
+    `height` is `[H, W]`, towards the viewer; `u` and `v` `[H, W]` are columns and rows
+    counted from the principal point; all in pixels, as the focal length. Returns depth
+    `[H, W]`, positive inside the mask where its logarithm has mean 1, zero outside.
+    Slopes seen at more than 85 degrees from the viewing ray are ignored.
     """
     normals = relief_normals(height, mask)
     rays = jnp.stack([u / focal, v / focal, jnp.ones_like(u)])
@@ -131,15 +116,10 @@ def perspective_depth(
 
 
 def to_product_frame(normals: Array, mask: np.ndarray) -> np.ndarray:
-    """Turns camera-frame normals into the product's.
+    """Turns camera-frame normals (y down, z away) of any length into ours.
 
-    Args:
-        normals: `[3, H, W]`, x right, y down, z away from the camera, any length.
-        mask: `[H, W]`, bool.
-
-    Returns:
-        `[H, W, 3]`, float32, unit length (x right, y up, z to the viewer), zero
-        outside the mask; (0, 0, 1) where the length was zero.
+    `[3, H, W]` becomes `[H, W, 3]`, float32, unit length (x right, y up, z to the
+    viewer), zero outside the mask; (0, 0, 1) where the length was zero.
     """
     turned = np.moveaxis(np.asarray(normals), 0, -1)[mask] * np.array([1, -1, -1])
     return normal_map(turned, mask)
@@ -148,16 +128,8 @@ def to_product_frame(normals: Array, mask: np.ndarray) -> np.ndarray:
 def hemisphere(*, volume: float | None = None) -> Method:
     """Makes the floor that looks at the mask only: a balloon's normals.
 
-    Args:
-        volume: the balloon's mean height in pixels; None: twice the mean distance to
-            the silhouette, which turns a disc into a hemisphere.
-
-    Returns:
-        The method; it ignores images, lights and focal length. It raises `Unsupported`
-        if the mask is empty.
-
-    Raises:
-        ValueError: if the volume is not positive.
+    `volume` is the balloon's mean height in pixels, > 0; None: twice the mean distance
+    to the silhouette, which turns a disc into a hemisphere.
     """
     if volume is not None and not volume > 0:
         raise ValueError(f"volume: expected pixels > 0, got {volume!r}")

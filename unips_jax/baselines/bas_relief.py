@@ -32,17 +32,11 @@ def transform(relief: np.ndarray) -> np.ndarray:
 
 
 def by_entropy(vectors: np.ndarray) -> np.ndarray:
-    """The ambiguity's parameters that make the albedos fewest.
+    """The ambiguity's parameters (mu, nu, lam > 0) that make the albedos fewest.
 
-    The entropy of the albedos' histogram, searched from coarse to fine over
-    mu, nu in [-4, 4] and lam in [1/4, 4]. Right for a few flat albedos; texture,
-    shadows and highlights mislead it.
-
-    Args:
-        vectors: `[P, 3]`, b0, its components of one size.
-
-    Returns:
-        `[3]`: mu, nu and lam > 0.
+    The entropy of the albedos' histogram, searched from coarse to fine over mu, nu in
+    [-4, 4] and lam in [1/4, 4], of b0 `[P, 3]`, its components of one size. Right for a
+    few flat albedos; texture, shadows and highlights mislead it.
     """
     some = vectors[:: -(-len(vectors) // _PIXELS)]
     lengths = np.linalg.norm(some, axis=-1)
@@ -82,24 +76,18 @@ def _entropies(reliefs: Array, vectors: Array, width: Array) -> Array:
 def by_diffuse_maxima(
     field: np.ndarray, lights: np.ndarray, images: np.ndarray, mask: np.ndarray
 ) -> np.ndarray:
-    """The ambiguity's parameters from points that face their light.
+    """The ambiguity's parameters (mu, nu, lam > 0) from points that face their light.
 
-    Where a diffuse image has a local maximum, the normal points to the light. Each
-    such pair confines (mu, nu) to a segment; the median of all segments' crossings
-    is taken, and the median of the lam they imply. Of more than 3,000 points only
-    every second, third, ... is used.
+    Where a diffuse image has a local maximum, the normal points to the light. Each such
+    pair confines (mu, nu) to a segment; the median of all segments' crossings is taken,
+    and the median of the lam they imply. Of more than 3,000 points only every second,
+    third, ... is used. `Unsupported` if no two segments cross.
 
     Args:
         field: `[H, W, 3]`, b0.
         lights: `[N, 3]`, l0.
         images: `[N, H, W]`, grey.
         mask: `[H, W]`, bool.
-
-    Returns:
-        `[3]`: mu, nu and lam > 0.
-
-    Raises:
-        Unsupported: if no two segments cross.
     """
     index, rows, columns = diffuse_maxima(images, mask)
     b, light = field[rows, columns], lights[index]
@@ -126,18 +114,12 @@ def by_diffuse_maxima(
 def diffuse_maxima(
     images: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Local maxima of the smoothed images that no other image shares.
+    """Local maxima of smoothed images `[N, H, W]` that no other image shares.
 
     The images are divided by `flat_albedo` first. A maximum of the remaining albedo
-    stays where it is when the light moves, so maxima that several images have within
-    a pixel are dropped, as are those in the darker half of an image's range.
-
-    Args:
-        images: `[N, H, W]`.
-        mask: `[H, W]`, bool.
-
-    Returns:
-        Image number, row and column of each, `[K]`.
+    stays where it is when the light moves, so maxima that several images have within a
+    pixel are dropped, as are those in the darker half of an image's range. Returns
+    image number, row and column of each, `[K]`.
     """
     flat = images / flat_albedo(images, mask)
     stack = smooth(np.moveaxis(flat, 0, -1), mask, 2.0)
@@ -155,15 +137,9 @@ def diffuse_maxima(
 def flat_albedo(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Albedo of a surface painted in flat colours; smooth texture is missed.
 
-    Between neighbours of like intensity profile (like normals), a jump of the
-    profile's length is one of the albedo. The jumps are integrated.
-
-    Args:
-        images: `[N, H, W]`, grey.
-        mask: `[H, W]`, bool.
-
-    Returns:
-        `[H, W]`, positive, median 1 in the mask; 1 outside.
+    Between neighbours of like intensity profile (like normals) in the grey images `[N,
+    H, W]`, a jump of the profile's length is one of the albedo. The jumps are
+    integrated. Returns `[H, W]`, positive, median 1 in the mask; 1 outside.
     """
     profile = images[:, mask].T  # [P, N]
     length = np.maximum(np.linalg.norm(profile, axis=-1), 1e-12 * images.max())

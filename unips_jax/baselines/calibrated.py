@@ -31,7 +31,7 @@ def woodham(
     keep: tuple[float, float] = (0.0, 1.0),
     shadow: float | None = None,
 ) -> Method:
-    """Least squares (Woodham, 1980).
+    """Least squares (Woodham, 1980); needs lights and at least three images.
 
     Args:
         colour: solve on BT.601 luma, on the channels' mean, or on each channel and
@@ -41,12 +41,6 @@ def woodham(
             brightest image; (0.2, 0.8) drops shadows and highlights.
         shadow: ignore values below this fraction of the pixel's brightest; pixels
             left with fewer than three values use all of theirs.
-
-    Returns:
-        The method; it needs lights and at least three images.
-
-    Raises:
-        ValueError: if `keep` is not an increasing pair within [0, 1].
     """
     if not 0 <= keep[0] < keep[1] <= 1:
         raise ValueError(f"keep: expected 0 <= low < high <= 1, got {keep}")
@@ -75,9 +69,6 @@ def robust_l1(*, iterations: int = 50) -> Method:
 
     The weights are 1/|residual|, capped at 1e5 over the image maximum (float32 cannot
     use more; the reference goes to 1e16).
-
-    Args:
-        iterations: number of reweightings, the same for every pixel.
     """
     solve = functools.partial(map_pixels, _l1, iterations=iterations)
     return _method("robust_l1", solve, "luma")
@@ -87,11 +78,8 @@ def sparse_bayesian(*, iterations: int = 50) -> Method:
     """Sparse Bayesian regression (Ikehata et al., CVPR 2012).
 
     Every value's error has its own variance, estimated with the normal. Each pixel's
-    values are divided by their maximum first, so the ridges (1e-6 on the fit, 1 on
-    the covariance) mean the same at any exposure.
-
-    Args:
-        iterations: number of updates, the same for every pixel.
+    values are divided by their maximum first, so the ridges (1e-6 on the fit, 1 on the
+    covariance) mean the same at any exposure.
     """
     solve = functools.partial(map_pixels, _sparse_bayesian, iterations=iterations)
     return _method("sparse_bayesian", solve, "luma")
@@ -100,12 +88,9 @@ def sparse_bayesian(*, iterations: int = 50) -> Method:
 def low_rank(*, tolerance: float = 1e-6, growth: float = 1.2) -> Method:
     """Least squares on the low-rank part of the images (Wu et al., ACCV 2010).
 
-    The split needs many images: with fewer than about 16 it takes some shading for
-    errors even where there are none (0.05 degrees at 12 images, 3 degrees at 8).
-
-    Args:
-        tolerance: relative residual at which the split stops.
-        growth: factor on the split's penalty per iteration; see `split_low_rank`.
+    The split (`split_low_rank`) needs many images: with fewer than about 16 it takes
+    some shading for errors even where there are none (0.05 degrees at 12 images, 3
+    degrees at 8).
     """
 
     def solve(values: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -118,19 +103,11 @@ def low_rank(*, tolerance: float = 1e-6, growth: float = 1.2) -> Method:
 def check_lights(
     name: str, observed: Observed, *, coplanar: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Checks known lights.
+    """Unit directions `[N, 3]` and intensities `[N, 3]` of known lights, checked.
 
-    Args:
-        name: the method's name, for the messages.
-        observed: what the method was given.
-        coplanar: accept directions that lie in one plane.
-
-    Returns:
-        Unit directions `[N, 3]` and intensities `[N, 3]`.
-
-    Raises:
-        Unsupported: if there are none, or they do not determine a normal.
-        ValueError: if the shapes do not fit.
+    `Unsupported`, naming the method, if there are none, or they do not determine a
+    normal; `coplanar` accepts directions that lie in one plane. `ValueError` if shapes
+    do not fit.
     """
     lights, count = observed.lights, len(observed.images)
     if lights is None:
@@ -159,20 +136,12 @@ def split_low_rank(
     growth: float = 1.2,
     iterations: int = 500,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Splits a matrix into a low-rank and a sparse part (inexact ALM).
+    """Splits a matrix `[P, N]` into low-rank and sparse parts (inexact ALM), float64.
 
     Minimises the nuclear norm of the first plus `1/sqrt(max(P, N))` times the sum of
-    magnitudes of the second.
-
-    Args:
-        values: `[P, N]`.
-        tolerance: relative Frobenius residual at which to stop.
-        growth: factor on the penalty per iteration. The usual 1.5 is quicker, but
-            stops short of the optimum on few images.
-        iterations: cap on the iterations.
-
-    Returns:
-        The low-rank and the sparse part, `[P, N]`, float64.
+    magnitudes of the second, until the relative Frobenius residual is below
+    `tolerance`. `growth` multiplies the penalty at each iteration: the usual 1.5 is
+    quicker, but stops short of the optimum on few images.
     """
     image = np.asarray(values, np.float64)
     weight = 1 / np.sqrt(max(image.shape))

@@ -17,15 +17,9 @@ Product = Callable[[Array], Array]
 
 
 def shift(image: Array, rows: int, columns: int) -> Array:
-    """Reads every pixel's neighbour; zero beyond the border.
+    """Every pixel's neighbour, `out[y, x] = image[y + rows, x + columns]`.
 
-    Args:
-        image: `[..., H, W]`.
-        rows: -1, 0 or 1: the neighbour above, in the same row, or below.
-        columns: -1, 0 or 1: the one to the left, in the same column, or to the right.
-
-    Returns:
-        `[..., H, W]`, with `out[y, x] = image[y + rows, x + columns]`.
+    `rows` and `columns` are -1, 0 or 1; zero is read beyond the border.
     """
     height, width = image.shape[-2:]
     padded = jnp.pad(image, [(0, 0)] * (image.ndim - 2) + [(1, 1), (1, 1)])
@@ -34,16 +28,10 @@ def shift(image: Array, rows: int, columns: int) -> Array:
 
 
 def forward(image: Array, mask: Array, *, closed: bool) -> Array:
-    """Forward differences: right minus here, below minus here.
+    """Forward differences `[2, ..., H, W]`: right minus here, below minus here.
 
-    Args:
-        image: `[..., H, W]`.
-        mask: `[H, W]`.
-        closed: True: the difference across the mask's edge is zero (Neumann); False:
-            outside the mask the image counts as zero (Dirichlet).
-
-    Returns:
-        `[2, ..., H, W]`, zero outside the mask.
+    Zero outside the mask. `closed`: the difference across the mask's edge is zero
+    (Neumann); else outside the mask the image counts as zero (Dirichlet).
     """
     inside = jnp.where(mask, image, 0.0)
     steps = []
@@ -55,15 +43,7 @@ def forward(image: Array, mask: Array, *, closed: bool) -> Array:
 
 
 def central(image: Array, mask: Array) -> Array:
-    """Central differences, zero unless both neighbours are inside the mask.
-
-    Args:
-        image: `[..., H, W]`.
-        mask: `[H, W]`.
-
-    Returns:
-        `[2, ..., H, W]`.
-    """
+    """Central differences `[2, ..., H, W]`, zero unless both neighbours are inside."""
     steps = []
     for rows, columns in ((0, 1), (1, 0)):
         difference = 0.5 * (shift(image, rows, columns) - shift(image, -rows, -columns))
@@ -90,9 +70,6 @@ def solve_cg(
         start: where to start; zero if None.
         rtol: stops once the residual's norm is below `rtol` times the norm of `right`.
         limit: iterations at most.
-
-    Returns:
-        The solution, same shape.
     """
     inverse = jnp.where(diagonal > 0, 1 / jnp.where(diagonal > 0, diagonal, 1.0), 0.0)
     return jax.scipy.sparse.linalg.cg(
@@ -103,17 +80,10 @@ def solve_cg(
 def stencil(center: Array, right: Array, below: Array, aslant: Array) -> Product:
     """A symmetric matrix that links pixels to their neighbours, as a function.
 
-    Written out, because it is what the depth update spends its time on.
-
-    Args:
-        center: `[H, W]`, the diagonal.
-        right: `[H, W]`, entries that link a pixel and the one to its right.
-        below: `[H, W]`, entries that link a pixel and the one below.
-        aslant: `[H, W]`, entries that link a pixel and the one below to the left.
-            Entries for neighbours beyond the border must be zero.
-
-    Returns:
-        A function from flat images `[H * W]` to flat images.
+    Written out, because it is what the depth update spends its time on. Of each pixel,
+    `[H, W]`: `center` is the diagonal, the others link it to the one to its right,
+    below, and below to the left; entries for neighbours beyond the border must be zero.
+    The function takes flat images `[H * W]`.
     """
     size, width = center.size, center.shape[1]
     terms = [(center.ravel(), 0)]
@@ -134,15 +104,9 @@ def stencil(center: Array, right: Array, below: Array, aslant: Array) -> Product
 
 
 def integrate(slopes: Array, mask: Array, *, rtol: float = 1e-5) -> Array:
-    """Integrates a gradient field by least squares (Poisson), mean 0 on the mask.
+    """Integrates slopes by least squares (Poisson): `[H, W]`, mean 0 on the mask.
 
-    Args:
-        slopes: `[2, H, W]`, wanted forward differences along columns and rows.
-        mask: `[H, W]`.
-        rtol: tolerance of the conjugate gradients.
-
-    Returns:
-        `[H, W]`, zero outside the mask.
+    `slopes` are `[2, H, W]`, wanted forward differences along columns and rows.
     """
     links = jnp.stack(
         [mask & shift(mask, 0, 1), mask & shift(mask, 1, 0)], dtype=slopes.dtype

@@ -9,43 +9,29 @@ from unips_jax.errors import InputError
 
 
 class Lights(NamedTuple):
-    """Known lights, one distant light per image.
+    """Known lights, one distant light per image."""
 
-    Attributes:
-        directions: `[N, 3]`, unit vectors from the surface to the light, camera frame.
-        intensities: `[N, 3]`, per colour channel.
-    """
-
+    # `[N, 3]`, unit vectors from the surface to the light, camera frame
     directions: np.ndarray
-    intensities: np.ndarray
+    intensities: np.ndarray  # `[N, 3]`, per colour channel
 
 
 class Observed(NamedTuple):
-    """What is known of an object before its normals are: a method's input.
+    """What is known of an object before its normals are: a method's input."""
 
-    Attributes:
-        images: `[N, H, W, 3]`, linear RGB of any scale, float32.
-        mask: `[H, W]`, bool, True on the object.
-        lights: known lights; None where unknown.
-        focal: focal length in pixels of these images, principal point at their
-            centre; infinite for an orthographic camera, None where unknown.
-    """
-
-    images: np.ndarray
-    mask: np.ndarray
-    lights: Lights | None = None
+    images: np.ndarray  # `[N, H, W, 3]`, linear RGB of any scale, float32
+    mask: np.ndarray  # `[H, W]`, bool, True on the object
+    lights: Lights | None = None  # None where unknown
+    # focal length in pixels of these images, principal point at their centre; infinite
+    # for an orthographic camera, None where unknown
     focal: float | None = None
 
 
 class Estimated(NamedTuple):
-    """Normals, and what a method says of how they came about.
+    """Normals, and what a method reports of how they came about."""
 
-    Attributes:
-        normals: as in `Method`.
-        measures: figures by name, unit included, such as the share of failed patches.
-    """
-
-    normals: np.ndarray
+    normals: np.ndarray  # as in `Method`
+    # figures by name, unit included, such as the share of failed patches
     measures: Mapping[str, float]
 
 

@@ -23,18 +23,10 @@ def object_pixels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Checks a method's input and takes the object's pixels.
 
-    Args:
-        observed: the images and the mask; a mask of numbers counts where above 0.
-        name: the method's name, for the messages.
-        minimum: fewest images it works with.
-
-    Returns:
-        `[P, N, 3]`, float32, the pixels in row order; and the boolean mask.
-
-    Raises:
-        Unsupported: if there are too few images, the mask is empty, or the images
-            are black or not finite inside it.
-        ValueError: if the shapes do not fit.
+    Returns `[P, N, 3]`, float32, in row order, and the boolean mask: numbers count
+    where above 0. `Unsupported`, naming the method, if there are fewer than `minimum`
+    images, the mask is empty, or images are black or not finite inside it; `ValueError`
+    if shapes do not fit.
     """
     images, mask = np.asarray(observed.images), np.asarray(observed.mask) > 0
     if images.ndim != 4 or images.shape[-1] != 3 or images.shape[1:3] != mask.shape:
@@ -53,14 +45,9 @@ def object_pixels(
 
 
 def normal_map(vectors: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Puts pixels' vectors back into a map of unit normals.
+    """A map of unit normals `[H, W, 3]`, zero outside the mask, of pixels' vectors.
 
-    Args:
-        vectors: `[P, 3]`, of any length; zero or non-finite ones become (0, 0, 1).
-        mask: `[H, W]`, True at P pixels.
-
-    Returns:
-        `[H, W, 3]`, float32, zero outside the mask.
+    Zero or non-finite ones become (0, 0, 1).
     """
     vectors = np.asarray(vectors, np.float64)
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
@@ -77,7 +64,7 @@ def map_pixels(
     directions: np.ndarray,
     **options: object,
 ) -> np.ndarray:
-    """Applies a per-pixel solver to all pixels, a bounded chunk at a time.
+    """Applies a per-pixel solver to all pixels, a bounded chunk at a time: `[P, 3]`.
 
     Args:
         function: maps one pixel's values `[N]` and the directions `[N, 3]` to `[3]`;
@@ -85,9 +72,6 @@ def map_pixels(
         values: `[P, N]`.
         directions: `[N, 3]`.
         **options: the function's own, hashable, fixed at compilation.
-
-    Returns:
-        `[P, 3]`.
     """
     count = len(values)
     chunk = min(CHUNK, 1 << max(count - 1, 1).bit_length())

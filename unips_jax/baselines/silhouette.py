@@ -11,15 +11,9 @@ from unips_jax.baselines.method import Unsupported
 
 
 def smooth(field: np.ndarray, mask: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian mean over the neighbours inside the mask.
+    """Gaussian mean of a field `[H, W, C]` over the neighbours inside the mask.
 
-    Args:
-        field: `[H, W, C]`.
-        mask: `[H, W]`, bool.
-        sigma: standard deviation in pixels; 0 returns the masked field.
-
-    Returns:
-        `[H, W, C]`, zero outside the mask.
+    `sigma` is in pixels; 0 returns the masked field.
     """
     inside = mask[..., None].astype(np.float64)
     if sigma == 0:
@@ -37,18 +31,9 @@ def derivatives(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def silhouette(mask: np.ndarray, *, name: str) -> tuple[np.ndarray, np.ndarray]:
     """The object's outline and its outward directions.
 
-    The image's border is no outline: pixels within two of it are left out.
-
-    Args:
-        mask: `[H, W]`, bool.
-        name: the method's name, for the message.
-
-    Returns:
-        `[H, W]`, True on the outline's pixels; and `[K, 2]`, the unit outward
-        direction (x right, y up) of each, in row order.
-
-    Raises:
-        Unsupported: if there is no outline within the image.
+    The image's border is no outline: pixels within two of it are left out. Returns `[H,
+    W]`, True on the outline's pixels; and `[K, 2]`, the unit outward direction (x
+    right, y up) of each, in row order.
     """
     outline = mask & ~ndimage.binary_erosion(mask, border_value=1)
     outline[:2] = outline[-2:] = False
@@ -69,16 +54,7 @@ def silhouette(mask: np.ndarray, *, name: str) -> tuple[np.ndarray, np.ndarray]:
 def convex_sign(normals: np.ndarray, mask: np.ndarray, *, name: str) -> np.ndarray:
     """Settles bumps against dents: normals point outwards along the outline.
 
-    Args:
-        normals: `[H, W, 3]`, unit.
-        mask: `[H, W]`, bool.
-        name: the method's name, for the message.
-
-    Returns:
-        The normals, or the same with x and y negated.
-
-    Raises:
-        Unsupported: if there is no outline within the image.
+    The normals, or the same with x and y negated.
     """
     outline, outward = silhouette(mask, name=name)
     if np.sum(normals[outline][:, :2] * outward) >= 0:

@@ -31,16 +31,12 @@ _FEW, _MANY = 600, 3000  # pixels judged while searching, and at the end
 
 
 def first_order_harmonics(*, smoothing: float = 1.5, anchor: float = 0.05) -> Method:
-    """First-order spherical harmonics photometric stereo.
+    """First-order spherical harmonics photometric stereo; at least four images.
 
     Args:
         smoothing: Gaussian, in pixels, on the field whose integrability is judged.
         anchor: weight of the silhouette's normals lying in the image plane. It alone
             fixes the relief of round objects; more bends all others.
-
-    Returns:
-        The method; it needs no lights, at least four images and an outline within
-        the image.
     """
 
     def method(observed: Observed) -> np.ndarray:
@@ -56,15 +52,9 @@ def first_order_harmonics(*, smoothing: float = 1.5, anchor: float = 0.05) -> Me
 def cone_field(grey: np.ndarray) -> np.ndarray:
     """Albedo times (1, normal), up to a scaled Lorentz transformation.
 
-    Args:
-        grey: `[P, N]`.
-
-    Returns:
-        `[P, 4]`, float64, the first component positive on average.
-
-    Raises:
-        Unsupported: if the images have a rank below four, or no quadric of the
-            light cone's signature fits them.
+    `[P, 4]`, float64, of grey `[P, N]`, the first component positive on average.
+    `Unsupported` if the images have a rank below four, or no quadric of the light
+    cone's signature fits them.
     """
     factors, _ = factorise(grey, rank=4, name=_NAME)
     length = np.linalg.norm(factors, axis=-1, keepdims=True)
@@ -100,9 +90,8 @@ def cone_directions(field: np.ndarray) -> np.ndarray:
 def lorentz(parameters: np.ndarray) -> np.ndarray:
     """The Lorentz transformation of three boosts and three rotations, `[4, 4]`.
 
-    Args:
-        parameters: `[6]`, rapidities along x, y, z, then a rotation vector; the
-            rotation comes first, then the boost.
+    `parameters` are rapidities along x, y, z, then a rotation vector; the rotation
+    comes first, then the boost.
     """
     rapidity = np.linalg.norm(parameters[:3])
     axis = parameters[:3] / max(rapidity, 1e-300)
@@ -118,19 +107,10 @@ def lorentz(parameters: np.ndarray) -> np.ndarray:
 def resolve(
     rays: np.ndarray, mask: np.ndarray, *, smoothing: float = 1.5, anchor: float = 0.05
 ) -> np.ndarray:
-    """Settles the Lorentz transformation.
+    """Settles the Lorentz transformation of rays `[P, 4]`, (1, unit vector).
 
-    Args:
-        rays: `[P, 4]`, (1, unit vector), in the mask's row order.
-        mask: `[H, W]`, bool.
-        smoothing: Gaussian, in pixels, on the field whose integrability is judged.
-        anchor: weight of the silhouette's normals lying in the image plane.
-
-    Returns:
-        `[4, 4]`: normals are the last three components of `rays @ matrix.T`.
-
-    Raises:
-        Unsupported: if the object is too small or has no outline within the image.
+    `smoothing` and `anchor` as in `first_order_harmonics`. Returns `[4, 4]`: normals
+    are the last three components of `rays @ matrix.T`.
     """
     outline, outward = silhouette(mask, name=_NAME)
     field = np.zeros((*mask.shape, 4))

@@ -31,12 +31,6 @@ def factorisation(
     Args:
         resolve: by the entropy of the albedos (few albedos) or by diffuse maxima.
         smoothing: Gaussian, in pixels, on the field whose integrability is judged.
-
-    Returns:
-        The method; it needs at least three images and an outline within the image.
-
-    Raises:
-        ValueError: if `resolve` is neither.
     """
     require_choice("resolve", resolve, get_args(Resolve))
 
@@ -61,17 +55,9 @@ def factorise(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The best factors of a matrix, by the eigenvectors of its Gram matrix.
 
-    Args:
-        values: `[P, N]`.
-        rank: number of factors, at most N.
-        name: the method's name, for the message.
-
-    Returns:
-        `[P, rank]`, columns of unit mean square, and `[rank, N]`; float64. Their
-        product is the nearest matrix of that rank.
-
-    Raises:
-        Unsupported: if the values have a lower rank.
+    Of values `[P, N]`: `[P, rank]`, columns of unit mean square, and `[rank, N]`;
+    float64. Their product is the nearest matrix of that rank. `Unsupported` if the rank
+    is lower.
     """
     values = np.asarray(values, np.float64)
     power, basis = np.linalg.eigh(values.T @ values)
@@ -89,19 +75,10 @@ def integrable_field(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Factorises grey images so that the field is a surface's.
 
-    Args:
-        grey: `[P, N]`, the object's pixels in row order.
-        mask: `[H, W]`, bool, True at P pixels.
-        smoothing: Gaussian, in pixels, on the field whose integrability is judged.
-
-    Returns:
-        `[H, W, 3]`, albedo times normal, and `[N, 3]`, lights; both up to one
-        bas-relief transformation and a common scale. The field's third component is
-        as large as the others on average, and positive on average.
-
-    Raises:
-        Unsupported: if the images have a rank below three, or the object is too
-            small to differentiate.
+    Of pixels `[P, N]` in row order: `[H, W, 3]`, albedo times normal, and `[N, 3]`,
+    lights; both up to one bas-relief transformation and a common scale. The field's
+    third component is as large as the others on average, and positive on average.
+    `Unsupported` if the rank is below three, or the object too small to differentiate.
     """
     factors, lights = factorise(grey, rank=3, name="factorisation")
     field = np.zeros((*mask.shape, 3))

@@ -30,26 +30,11 @@ def normal_spread(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> np.ndarray:
-    """The spread of normals over halves of the photographs.
+    """The spread of normals over halves of the photographs, in degrees: `[H, W]`.
 
-    Costs twice what the estimate costs.
-
-    Args:
-        network: from `load_weights`.
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        mask: `[H, W]`, bool.
-        normals: `[H, W, 3]`, the estimate from all photographs.
-        transfer: how values encode light.
-        frame: see `estimate_normals`.
-        splits: how often the photographs are halved.
-        seed: of the draw.
-        progress: called with the numbers of pixels done and to do.
-
-    Returns:
-        `[H, W]`, float32, degrees; 0 outside the mask.
-
-    Raises:
-        InputError: if there is one photograph alone.
+    Costs twice what the estimate costs. Arguments are those of `estimate_photographs`;
+    `normals` `[H, W, 3]` is the estimate from all photographs, at least two, which are
+    halved `splits` times. 0 outside the mask.
     """
     if len(images) < 2:
         raise InputError(

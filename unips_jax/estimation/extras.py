@@ -26,15 +26,10 @@ UNRELIABLE_DEG = 15.0  # of spread: a pixel above it is in the mask
 
 
 class Extras(NamedTuple):
-    """What the network has to be asked for.
+    """What the network has to be asked for; None unless wanted."""
 
-    Attributes:
-        lights: of the photographs, None unless wanted.
-        confidence: `[H, W]`, the normals' spread in degrees, None unless wanted.
-    """
-
-    lights: Lights | None = None
-    confidence: np.ndarray | None = None
+    lights: Lights | None = None  # of the photographs
+    confidence: np.ndarray | None = None  # `[H, W]`, the normals' spread in degrees
 
 
 def estimate_extras(
@@ -49,14 +44,7 @@ def estimate_extras(
 ) -> Extras:
     """Estimates lights and confidence, as far as the options want them.
 
-    Args:
-        network: from `load_weights`.
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        mask: `[H, W]`, bool.
-        found: the estimate.
-        transfer: how values encode light.
-        options: what is wanted.
-        progress: called with the numbers of pixels done and to do.
+    Images are `[N, H, W, 3]`, uint8, uint16 or float32; `found` is their estimate.
     """
     lights, confidence = None, None
     if options.lights or options.base_color or options.rti:

@@ -59,12 +59,7 @@ _CODE = (
 
 @dataclasses.dataclass(frozen=True)
 class NamedNetwork:
-    """A network, and what the record says of it.
-
-    Attributes:
-        network: configuration and parameters.
-        record: its name, hash and whether it is trained.
-    """
+    """A network, and for the record its name, hash and whether it is trained."""
 
     network: "UniversalNetwork"
     record: dict[str, Any]
@@ -108,7 +103,7 @@ def estimate_folder(
         options: how to read and what to write.
         overwrite: estimate anew even if the target holds what the same photographs,
             mask, weights, options and code gave.
-        verbose: say on standard output what is done; warnings about the photographs
+        verbose: report on standard output what is done; warnings about the photographs
             and progress go to standard error.
         on_progress: called with the numbers of pixels done and to do, first when the
             photographs are read.
@@ -188,11 +183,7 @@ def estimate_selection(
     on_progress: Progress | None = None,
     on_preview: Preview | None = None,
 ) -> Estimate:
-    """Reads photographs, looks for faults, and estimates; see `estimate_folder`.
-
-    Raises:
-        InputError: if a file cannot be read or used, or a normal is not finite.
-    """
+    """Reads photographs, looks for faults, and estimates; see `estimate_folder`."""
     from unips_jax.estimation.streaming import estimate_with_lights
 
     if verbose:

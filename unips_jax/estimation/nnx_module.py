@@ -80,13 +80,8 @@ class NnxNetwork(nnx.Module):
     ) -> None:
         """Writes `config.json`, `model.safetensors` and, unless there is one, a card.
 
-        Args:
-            folder: where; it is made.
-            license: of the weights, for the card.
-            record: how they were made, for the weights file.
-
-        Raises:
-            InputError: if it cannot be written.
+        `license`, of the weights, is for the card; `record`, how they were made, for
+        the weights file.
         """
         folder, network = Path(folder), self.network
         make_folder(folder, "save_pretrained")
@@ -108,11 +103,7 @@ class NnxNetwork(nnx.Module):
 
     @classmethod
     def from_pretrained(cls, source: str | os.PathLike[str]) -> Self:
-        """Reads shipped weights, a weights file, a folder, or a name of a hub.
-
-        Raises:
-            InputError: if there is nothing of that name, or it is damaged.
-        """
+        """Reads shipped weights, a weights file, a folder, or a name of a hub."""
         folder = Path(source)
         if str(source) in SHIPPED or folder.suffix == ".safetensors":
             return cls(load_weights(source))

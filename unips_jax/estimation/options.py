@@ -105,11 +105,7 @@ class FolderOptions:
         )
 
     def check(self) -> None:
-        """Checks what the types do not.
-
-        Raises:
-            InputError: naming the option.
-        """
+        """Checks what the types do not; an `InputError` names the option."""
         for name, least in (
             *(("max_images", 1), ("max_pixels", 1)),
             *(("seed", 0), ("size", 1)),

@@ -23,25 +23,17 @@ from unips_jax.io.selection import Selection, select
 
 @dataclasses.dataclass(frozen=True)
 class Looked:
-    """Photographs that were read and looked at.
+    """Photographs that were read and looked at."""
 
-    Attributes:
-        capture: the photographs.
-        warnings: what is wrong with them, one line each.
-        facts: for the record.
-    """
-
-    capture: Capture
-    warnings: list[str]
-    facts: dict[str, Any]
+    capture: Capture  # the photographs
+    # what is wrong with them, one line each
+    warnings: list[str]  # what is wrong with them, one line each
+    # for the record
+    facts: dict[str, Any]  # for the record
 
 
 def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
-    """Which files of a folder are photographs, and which the mask.
-
-    Raises:
-        InputError: see `select`; or if there is no such dark frame.
-    """
+    """Which files of a folder are photographs, and which the mask."""
     selection = select(
         folder,
         mask_file=options.mask if isinstance(options.mask, Path) else None,
@@ -65,11 +57,7 @@ def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
 
 
 def dark_file(folder: Path, dark: Path) -> Path:
-    """The dark frame: in the folder of photographs, or at its own path.
-
-    Raises:
-        InputError: if it is at neither place.
-    """
+    """The dark frame: in the folder of photographs, or at its own path."""
     for path in (folder / dark, dark):
         if path.is_file():
             return path
@@ -86,11 +74,7 @@ def read_and_look(
     *,
     verbose: bool,
 ) -> Looked:
-    """Reads photographs, prepares them as the options say, and looks for faults.
-
-    Raises:
-        InputError: if a file cannot be read or used.
-    """
+    """Reads photographs, prepares them as the options ask, and looks for faults."""
     capture = _read(selection, options, reader, verbose=verbose)
     facts: dict[str, Any] = {}
     motion = None

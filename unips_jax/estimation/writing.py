@@ -25,26 +25,23 @@ from unips_jax.surface.outputs import (
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """Normals, what they were estimated from, and how.
+    """Normals, what they were estimated from, and how."""
 
-    Attributes:
-        images: `[N, H, W, 3]`, as the network was given them.
-        mask: `[H, W]`, bool.
-        transfer: how the images encode light.
-        normals: `[H, W, 3]`, float32, unit length inside the mask, zero outside.
-        record: the content of `normals.json`, less the files' hashes.
-        focal: in pixels, if there is a depth to write and its camera is not
-            orthographic.
-        extras: lights and confidence, where they are wanted.
-    """
-
-    images: np.ndarray
-    mask: np.ndarray
-    transfer: Transfer
+    # `[N, H, W, 3]`, as the network was given them
+    images: np.ndarray  # `[N, H, W, 3]`, as the network was given them
+    # `[H, W]`, bool
+    mask: np.ndarray  # `[H, W]`, bool
+    transfer: Transfer  # how the images encode light
+    # `[H, W, 3]`, float32, unit length inside the mask, zero outside
+    # `[H, W, 3]`, float32, unit length inside the mask, zero outside
     normals: np.ndarray
-    record: dict[str, Any]
+    # the content of `normals.json`, less the files' hashes
+    record: dict[str, Any]  # the content of `normals.json`, less the files' hashes
+    # in pixels, if there is a depth to write and its camera is not orthographic
+    # in pixels, if there is a depth to write and its camera is not orthographic
     focal: float | None = None
-    extras: Extras = Extras()
+    # lights and confidence, where they are wanted
+    extras: Extras = Extras()  # lights and confidence, where they are wanted
 
 
 def write_estimate(
@@ -70,9 +67,6 @@ def write_estimate(
 
     Returns:
         What `normals.json` holds, less the files' hashes.
-
-    Raises:
-        InputError: if the file system refuses.
     """
     record = {**estimate.record, **(facts or {})}
     with appearing_at_once(target) as place:

@@ -30,9 +30,6 @@ def normalise(
 
     Returns:
         The images, and the factor of each, `[N]`.
-
-    Raises:
-        ValueError: if `norm` or `per` is none of these.
     """
     require_choice("norm", norm, get_args(Norm))
     require_choice("per", per, get_args(Per))
@@ -47,15 +44,7 @@ def normalise(
 
 
 def box(mask: np.ndarray, margin: int | None) -> tuple[slice, slice]:
-    """The mask's bounding box with a margin, within the image.
-
-    Args:
-        mask: `[H, W]`, bool, not empty.
-        margin: pixels around the box; None for the whole image.
-
-    Returns:
-        Rows and columns.
-    """
+    """Rows and columns of the mask's box with a margin; None: the whole image."""
     if margin is None:
         return slice(0, mask.shape[0]), slice(0, mask.shape[1])
     return mask_box(mask, margin)

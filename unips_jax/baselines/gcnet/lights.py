@@ -20,27 +20,16 @@ _LEAST, _MOST = 0.2, 2.0
 
 
 class Logits(NamedTuple):
-    """A lighting network's answer, per image.
+    """A lighting network's answer, per image."""
 
-    Attributes:
-        azimuth: `[B, N, 36]`.
-        elevation: `[B, N, 36]`.
-        intensity: `[B, N, 20]`.
-        features: `[B, N, h, w, C]`, each image's own, before the fusion.
-    """
-
-    azimuth: Array
-    elevation: Array
-    intensity: Array
-    features: Array
+    azimuth: Array  # `[B, N, 36]`
+    elevation: Array  # `[B, N, 36]`
+    intensity: Array  # `[B, N, 20]`
+    features: Array  # `[B, N, h, w, C]`, each image's own, before the fusion
 
 
 def soft_lights(logits: Logits) -> tuple[Array, Array]:
-    """Directions and intensities at the expected class (GCNet).
-
-    Returns:
-        `[..., 3]`, unit; and `[..., 1]`, in [0.2, 2].
-    """
+    """Unit directions and intensities, in [0.2, 2], at the expected class (GCNet)."""
 
     def expected(x: Array) -> Array:
         classes = jnp.arange(x.shape[-1], dtype=jnp.float32)
@@ -78,16 +67,10 @@ def decode(azimuth: Array, elevation: Array, intensity: Array) -> tuple[Array, A
 
 
 def light_errors(found: Lights, true: Lights) -> dict[str, float]:
-    """How far lights are from the true ones.
+    """How far lights are from the true ones, as in SDPS-Net (CVPR 2019).
 
-    Args:
-        found: as estimated.
-        true: as known.
-
-    Returns:
-        The mean angle between directions in degrees; and the mean relative error of
-        intensities (averaged over channels) after the factor that fits them best, as
-        in SDPS-Net (CVPR 2019).
+    The mean angle between directions in degrees; and the mean relative error of
+    intensities (averaged over channels) after the factor that fits them best.
     """
     cosine = np.sum(found.directions * true.directions, axis=-1)
     angle = np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).mean()
@@ -101,15 +84,7 @@ def light_errors(found: Lights, true: Lights) -> dict[str, float]:
 
 
 def encode(directions: Array, intensities: Array) -> tuple[Array, Array, Array]:
-    """Classes of lights, the networks' training targets.
-
-    Args:
-        directions: `[..., 3]`, z >= 0.
-        intensities: `[...]`.
-
-    Returns:
-        Azimuth, elevation and intensity classes, `[...]`, int32.
-    """
+    """Classes, int32, of lights `[..., 3]` with z >= 0, to train networks with."""
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
     angles = (
         jnp.arctan(x / (z + 1e-8)),

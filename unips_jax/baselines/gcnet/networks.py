@@ -30,17 +30,11 @@ _STRIDES = (2, 2, 1, 2, 1, 2, 1)
 
 
 class Stages(NamedTuple):
-    """All of GCNet's intermediate answers; the last lighting is its result.
-
-    Attributes:
-        first: logits of the first lighting network.
-        normals: `[B, h, w, 3]`, the coarse normals times the mask.
-        shading: `[B, N, h, w]`, coarse normals under the first directions, in [0, 1].
-        second: logits of the second lighting network.
-    """
+    """All of GCNet's intermediate answers; the last lighting is its result."""
 
     first: Logits
-    normals: Array
+    normals: Array  # `[B, h, w, 3]`, the coarse normals times the mask
+    # `[B, N, h, w]`, coarse normals under the first directions, in [0, 1]
     shading: Array
     second: Logits
 
@@ -120,25 +114,18 @@ class Deconv(nn.Module):
 
 
 class LightNet(nn.Module):
-    """L-Net (and LCNet, by its widths): light directions and intensities as classes.
+    """L-Net (and LCNet, by its widths): light directions and intensities as classes."""
 
-    Attributes:
-        widths: channels of the extractor's seven convolutions.
-        classifier: channels of the classifier's four.
-        hidden: channels of the heads' first.
-    """
-
+    # channels of the extractor's seven convolutions
     widths: tuple[int, ...] = (32, 64, 64, 128, 128, 128, 256)
-    classifier: int = 128
-    hidden: int = 64
+    classifier: int = 128  # channels of the classifier's four
+    hidden: int = 64  # channels of the heads' first
 
     @nn.compact
     def __call__(self, x: Array) -> Logits:
-        """Classifies the lights.
+        """Classifies the lights of `[B, N, 128, 128, C]` (or 64 a side).
 
-        Args:
-            x: `[B, N, 128, 128, C]` (or 64 a side): image, mask and, in the second
-                network, coarse normals and shading.
+        Channels are image, mask and, in the second network, coarse normals and shading.
         """
         for index, stride in enumerate(_STRIDES):
             width = self.widths[index]
@@ -162,14 +149,11 @@ class LightNet(nn.Module):
 
 
 class NormalNet(nn.Module):
-    """PS-FCN (and GCNet's N-Net, by its widths): normals under known lights.
+    """PS-FCN (and GCNet's N-Net, by its widths): normals under known lights."""
 
-    Attributes:
-        widths: channels of the extractor's seven layers.
-        regressor_widths: channels of the regressor's first three.
-    """
-
+    # channels of the extractor's seven layers
     widths: tuple[int, ...] = (64, 128, 128, 256, 256, 128, 128)
+    # channels of the regressor's first three
     regressor_widths: tuple[int, ...] = (128, 128, 64)
 
     def setup(self) -> None:
@@ -215,12 +199,7 @@ class GCNet(nn.Module):
         self.light_2 = self.lights.clone(name="light_2", parent=self)
 
     def __call__(self, images: Array, mask: Array) -> Stages:
-        """Estimates the lights.
-
-        Args:
-            images: `[B, N, 128, 128, 3]`, masked.
-            mask: `[B, 128, 128]`, in [0, 1].
-        """
+        """The lights of masked images `[B, N, 128, 128, 3]`, the mask in [0, 1]."""
         mask = mask[..., None]  # [B, h, w, 1]
         masks = jnp.broadcast_to(mask[:, None], (*images.shape[:-1], 1))
         first = self.light_1(jnp.concatenate([images, masks], axis=-1))
@@ -239,13 +218,7 @@ class GCNet(nn.Module):
 def with_lights(images: Array, directions: Array, intensities: Array) -> Array:
     """A normal network's input: image over intensity, and the light's direction.
 
-    Args:
-        images: `[..., H, W, 3]`.
-        directions: `[..., 3]`, unit.
-        intensities: `[..., 3]` or `[..., 1]`.
-
-    Returns:
-        `[..., H, W, 6]`.
+    Images are `[..., H, W, 3]`, the result `[..., H, W, 6]`.
     """
     scaled = images / (intensities[..., None, None, :] + 1e-8)
     spread = jnp.broadcast_to(directions[..., None, None, :], images.shape)
@@ -261,18 +234,9 @@ def normals_by_chunks(
     *,
     chunk: int = 8,
 ) -> Array:
-    """Normals of one object, a few images in memory at a time.
+    """Normals `[H, W, 3]` of one object, unit, a few images in memory at a time.
 
-    Args:
-        net: the network.
-        params: its parameters.
-        images: `[N, H, W, 3]`, masked; sides multiples of 4.
-        directions: `[N, 3]`, unit.
-        intensities: `[N, 3]`.
-        chunk: images at a time.
-
-    Returns:
-        `[H, W, 3]`, unit.
+    Images are `[N, H, W, 3]`, masked, their sides multiples of 4; lights `[N, 3]`.
     """
     count = images.shape[0]
     chunk = min(chunk, count)

@@ -40,11 +40,7 @@ class _Entry(NamedTuple):
 
 
 def identify(arrays: Mapping[str, np.ndarray]) -> Network:
-    """Which network these arrays belong to, by the names of their parts.
-
-    Raises:
-        InputError: if they belong to none of the three.
-    """
+    """Which network these arrays belong to, by the names of their parts."""
     keys = [key.removeprefix("module.") for key in arrays]
     if any(key.startswith(("L_Net1.", "L_Net2.", "N_Net.")) for key in keys):
         return "gcnet"
@@ -61,17 +57,10 @@ def identify(arrays: Mapping[str, np.ndarray]) -> Network:
 def from_official(
     arrays: Mapping[str, np.ndarray], network: Network | None = None
 ) -> dict[str, Any]:
-    """Converts the authors' arrays; every one is used exactly once.
+    """The network's parameters, of the authors' arrays; every one is used exactly once.
 
-    Args:
-        arrays: name -> array, in the authors' layout; a prefix `module.` is ignored.
-        network: which network; None to tell from the names.
-
-    Returns:
-        The network's parameters, nested dictionaries of float32 arrays.
-
-    Raises:
-        InputError: naming every missing, unexpected and misshapen array.
+    A prefix `module.` of names is ignored; without `network` the names tell which it
+    is. `InputError` names every missing, unexpected and misshapen array.
     """
     network = identify(arrays) if network is None else network
     entries = {entry.key: entry for entry in _entries(network)}
@@ -100,13 +89,7 @@ def from_official(
 
 
 def save_params(path: Path | str, params: Mapping[str, Any], network: Network) -> None:
-    """Writes parameters to a safetensors file with the network's name inside.
-
-    The file is complete or absent.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
+    """Writes parameters to a safetensors file with the network's name inside."""
     flat = {
         "/".join(key): np.ascontiguousarray(value)
         for key, value in flatten_dict(params).items()
@@ -115,15 +98,7 @@ def save_params(path: Path | str, params: Mapping[str, Any], network: Network) -
 
 
 def load_params(path: Path | str) -> tuple[dict[str, Any], Network]:
-    """Reads what `save_params` wrote.
-
-    Returns:
-        The parameters, float32, and which network they are.
-
-    Raises:
-        InputError: if the file is missing, is no safetensors file, or belongs to
-            something else.
-    """
+    """Reads what `save_params` wrote: parameters, float32, and the network's name."""
     from safetensors import SafetensorError, safe_open
 
     try:

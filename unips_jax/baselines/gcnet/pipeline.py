@@ -48,7 +48,7 @@ def gcnet(
     margin: int | None = 15,
     side: int = 128,
 ) -> Method:
-    """GCNet's lights, then a calibrated method's normals.
+    """GCNet's lights, measured by the known ones if given; then a method's normals.
 
     Args:
         weights: GCNet's parameters, or a file written by `save_params`.
@@ -59,9 +59,6 @@ def gcnet(
         margin: pixels around the mask's box, to which images are cropped, as in the
             authors' evaluations; None to use the images as they come.
         side: of the images that the lighting networks see; they were trained for it.
-
-    Returns:
-        The method; it needs no lights, and measures those it finds by them if given.
     """
     options = {"norm": norm, "per": per, "margin": margin, "side": side}
     return _uncalibrated("gcnet", weights, normals, options)
@@ -75,10 +72,7 @@ def lcnet(
     per: Per = "image",
     margin: int | None = 15,
 ) -> Method:
-    """LCNet's lights (SDPS-Net's first stage), then a calibrated method's normals.
-
-    The arguments are those of `gcnet`.
-    """
+    """LCNet's lights (SDPS-Net's first stage), then a method's normals; as `gcnet`."""
     options = {"norm": norm, "per": per, "margin": margin}
     return _uncalibrated("lcnet", weights, normals, options)
 
@@ -89,15 +83,8 @@ def ps_fcn(
     """PS-FCN: normals under known lights, at the images' own size.
 
     The network expects images of about [0, 1] under lights of about unit intensity:
-    16-bit values over 65535 on DiLiGenT.
-
-    Args:
-        weights: PS-FCN's parameters, or a file written by `save_params`.
-        margin: crop around the mask, as in `gcnet`.
-        chunk: images in memory at a time.
-
-    Returns:
-        The method; it needs lights.
+    16-bit values over 65535 on DiLiGenT. `margin` as in `gcnet`; `chunk` images are in
+    memory at a time.
     """
     loaded = _loader("ps_fcn", weights)
 
@@ -127,23 +114,11 @@ def estimate_lights(
     margin: int | None = 15,
     side: int = 128,
 ) -> Lights:
-    """Light directions and intensities of an object's images.
+    """Light directions and intensities of an object's images, by GCNet or LCNet.
 
-    Args:
-        params: parameters of GCNet or of LCNet.
-        observed: the images and the mask.
-        norm: as in `gcnet`.
-        per: as in `gcnet`.
-        margin: as in `gcnet`.
-        side: as in `gcnet`.
-
-    Returns:
-        Directions `[N, 3]`, unit, z >= 0; intensities `[N, 3]`, equal over the
-        channels, for the images as given: dividing by them brings all images to one
-        exposure. Their common scale has no meaning.
-
-    Raises:
-        Unsupported: if there are fewer than two images, or no object.
+    Options are those of `gcnet`. Directions `[N, 3]` are unit, z >= 0; intensities `[N,
+    3]`, equal over the channels, are for the images as given: dividing by them brings
+    all images to one exposure. Their common scale has no meaning.
     """
     _, mask = object_pixels(observed, name="estimate_lights", minimum=_MIN_IMAGES)
     rows, columns = box(mask, margin)

@@ -25,18 +25,9 @@ _LEAST_Z = 0.05
 def frame_by_silhouette(
     field: np.ndarray, mask: np.ndarray, *, name: str
 ) -> np.ndarray:
-    """Turns a field so that it faces outwards on the silhouette.
+    """Turns a field of unit normals so that it faces outwards on the silhouette.
 
-    Args:
-        field: `[H, W, 3]`, unit normals, known up to an orthogonal matrix.
-        mask: `[H, W]`, bool.
-        name: the method's name, for the message.
-
-    Returns:
-        The turned field, `[H, W, 3]`.
-
-    Raises:
-        Unsupported: if there is no outline within the image.
+    It is `[H, W, 3]`, known up to an orthogonal matrix.
     """
     rim, outward = silhouette(mask, name=name)
     facing = np.zeros((3, 3))
@@ -47,18 +38,11 @@ def frame_by_silhouette(
 
 
 def frame_by_integrability(field: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Turns a field so that it becomes the normals of a surface.
+    """Turns a field so that it becomes the normals of a surface, convex or concave.
 
-    With r1, r2, r3 the sought axes, n is integrable exactly where
-    r1 . (n x dn/dx) + r2 . (n x dn/dy) = 0. The eigenvector that solves this best is
-    refined, together with its images under the cube's symmetries.
-
-    Args:
-        field: `[H, W, 3]`, unit normals, known up to an orthogonal matrix.
-        mask: `[H, W]`, bool.
-
-    Returns:
-        The turned field, `[H, W, 3]`; convex or concave is left open.
+    With r1, r2, r3 the sought axes, n is integrable exactly where r1 . (n x dn/dx) + r2
+    . (n x dn/dy) = 0. The eigenvector that solves this best is refined, together with
+    its images under the cube's symmetries. Field as in `frame_by_silhouette`.
     """
     inner = ndimage.binary_erosion(mask, iterations=3)
     inner = inner if inner.any() else mask
@@ -103,10 +87,8 @@ def _refine(starts: Array, rows: Array, field: Array) -> tuple[Array, Array]:
     """Damped Gauss-Newton on the rotations, from every start `[S, 3, 3]`.
 
     Minimises the mean pseudo-Huber misfit of integrability plus the mean squared
-    shortfall of n_z below `_LEAST_Z`.
-
-    Returns:
-        Frames `[S, 3, 3]`, axes as rows, and their costs `[S]`.
+    shortfall of n_z below `_LEAST_Z`. Returns frames, axes as rows, and their costs
+    `[S]`.
     """
 
     def cost(frame: Array) -> Array:

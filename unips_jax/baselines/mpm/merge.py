@@ -25,14 +25,9 @@ _NEAR = np.deg2rad(20.0)
 
 
 def merge_sync(patches: Sequence[Patch], count: int) -> np.ndarray:
-    """Merges by synchronising the patches' frames.
+    """Merges at least one patch by synchronising the patches' frames.
 
-    Args:
-        patches: at least one.
-        count: number of pixels of the mask.
-
-    Returns:
-        `[count, 3]`, unit normals in one common frame, NaN where unknown.
+    Returns unit normals of the mask's `count` pixels in one frame, NaN where unknown.
     """
     weights = _link_weights(patches, count)
     _, component = csgraph.connected_components(weights[0] > 0, directed=False)
@@ -79,17 +74,10 @@ def _link_weights(
 
 
 def merge_angles(patches: Sequence[Patch], count: int) -> np.ndarray:
-    """Merges by shortest paths of angles.
+    """Merges at least one patch by shortest paths of angles; returns as `merge_sync`.
 
-    Paths run over at most 1200 pixels, from at most 300 of them; the others follow
-    from the frames that fit their patches best.
-
-    Args:
-        patches: at least one.
-        count: number of pixels of the mask.
-
-    Returns:
-        `[count, 3]`, unit normals in one common frame, NaN where unknown.
+    Paths run over at most 1200 pixels, from at most 300 of them; the others follow from
+    the frames that fit their patches best.
     """
     covered = np.zeros(count, bool)
     for patch in patches:

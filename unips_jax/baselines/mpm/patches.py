@@ -25,31 +25,20 @@ _SHADOW = 0.03  # of the stack's bright end: darker patches have attached shadow
 
 
 class Patch(NamedTuple):
-    """One patch, solved up to an orthogonal matrix.
+    """One patch, solved up to an orthogonal matrix."""
 
-    Attributes:
-        pixels: `[p]`, indices into the mask's pixels in row-major order.
-        normals: `[p, 3]`, unit length, in the patch's own frame.
-        weight: trust, in (0, 1.001].
-    """
-
-    pixels: np.ndarray
-    normals: np.ndarray
-    weight: float
+    pixels: np.ndarray  # `[p]`, indices into the mask's pixels in row-major order
+    normals: np.ndarray  # `[p, 3]`, unit length, in the patch's own frame
+    weight: float  # trust, in (0, 1.001]
 
 
 def flatten_albedo(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Divides an estimate of the albedo out.
+    """Divides an estimate of the albedo out; its smooth changes remain.
 
     Neighbours whose profiles over the images agree have the same normal; a step of
-    their brightness is then one of the albedo. These steps are integrated.
-
-    Args:
-        images: `[N, H, W]`, grey, linear; NaN where saturated.
-        mask: `[H, W]`, bool; only pixels that are lit in some image.
-
-    Returns:
-        `[N, H, W]`; smooth changes of the albedo remain.
+    their brightness is then one of the albedo. These steps are integrated. Images are
+    `[N, H, W]`, grey, linear; NaN where saturated; the mask has only pixels that are
+    lit in some image.
     """
     known = np.nan_to_num(images)
     size = np.where(mask, np.linalg.norm(known, axis=0), 1)
@@ -86,13 +75,9 @@ def solve_patches(
 ) -> tuple[list[Patch], float]:
     """Cuts the object into overlapping squares and solves each.
 
-    Args:
-        images: `[N, H, W]`, grey, linear; NaN where saturated.
-        mask: `[H, W]`, bool.
-        radius: half-width of the squares in pixels; their grid's step is half of it.
-
-    Returns:
-        The patches, and the share of squares that had to be dropped, in [0, 1].
+    `radius` is their half-width in pixels; their grid's step is half of it. Images as
+    in `flatten_albedo`. Returns the patches, and the share of squares that had to be
+    dropped, in [0, 1].
     """
     index = np.full(mask.shape, -1)
     index[mask] = np.arange(mask.sum())
@@ -149,12 +134,9 @@ def _solve(pixels: np.ndarray, values: np.ndarray, bright: float) -> Patch | Non
 def upgrade(factors: np.ndarray) -> np.ndarray | None:
     """Finds the frame in which rank-3 factors have constant length.
 
-    Args:
-        factors: `[p, 3]`, whitened: their second moment is the identity.
-
-    Returns:
-        `[p, 3]`, lengths near 1, known up to an orthogonal matrix; None if no real
-        frame fits, which happens where the light is not equivalent to one direction.
+    Factors `[p, 3]` are whitened: their second moment is the identity. Returns `[p,
+    3]`, lengths near 1, known up to an orthogonal matrix; None if no real frame fits,
+    which happens where the light is not equivalent to one direction.
     """
     x, y, z = factors.T
     terms = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z], axis=1)

@@ -49,7 +49,10 @@ def mpm(
     albedo: Albedo = "profile",
     radius: int | None = None,
 ) -> Method:
-    """Makes the MPM-style method.
+    """Makes the MPM-style method; it needs at least six images.
+
+    It reports what share of its patches it dropped: 0 is good, 30 % means that the
+    light was not what it assumes.
 
     Args:
         merge: "sync" reconciles the patches' frames, "angles" follows shortest paths.
@@ -57,15 +60,6 @@ def mpm(
             images' border.
         albedo: "profile" divides an estimate of piecewise constant albedo out.
         radius: half-width of a patch in pixels; None: 0.11 of the images' side.
-
-    Returns:
-        The method; it ignores lights and focal length, and says what share of its
-        patches it dropped: 0 is good, 30 % means that the light was not what it
-        assumes. It raises `Unsupported` if there are fewer than six images, the mask
-        is empty or too small, or no patch can be solved.
-
-    Raises:
-        ValueError: if an option is none of the above.
     """
     require_choice("merge", merge, get_args(Merge))
     require_choice("frame", frame, get_args(Frame))

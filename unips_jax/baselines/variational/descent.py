@@ -26,26 +26,15 @@ _TOLERANCE = 1e-6  # least change of the energy, as a share of it, to go on
 
 
 class Result(NamedTuple):
-    """What the method found.
-
-    Attributes:
-        state: depth, albedo and lighting.
-        normals: `[3, H, W]`, unit length, camera frame.
-        trace: the energies before the first and after every iteration.
-    """
+    """What the method found."""
 
     state: State
-    normals: Array
-    trace: list[Energy]
+    normals: Array  # `[3, H, W]`, unit length, camera frame
+    trace: list[Energy]  # the energies before the first and after every iteration
 
 
 def initial_state(depth: Array, problem: Problem) -> State:
-    """Starts from a depth map: median albedo, frontal light.
-
-    Args:
-        depth: `[H, W]`, positive inside the mask.
-        problem: the images and the camera.
-    """
+    """Starts from a depth map, positive in the mask: median albedo, frontal light."""
     images = problem.images
     n, channels = images.shape[:2]
     albedo = jnp.sort(images, axis=0)[(n - 1) // 2]
@@ -84,15 +73,9 @@ def update_albedo(state: State, problem: Problem) -> Array:
 
 
 def update_lighting(state: State, problem: Problem, active: Array) -> Array:
-    """Solves for the lighting of every image and channel by weighted least squares.
+    """The lighting `[N, C, 9]` of every image and channel by weighted least squares.
 
-    Args:
-        state: the current estimate.
-        problem: the images and the camera.
-        active: `[9]`, 1.0 for the harmonics in use, 0.0 for the others.
-
-    Returns:
-        Coefficients `[N, C, 9]`, zero where not in use.
+    `active` is `[9]`, 1.0 for the harmonics in use, 0.0 for the others.
     """
     residual, shading = model.residuals(*state, problem)
     weights = model.cauchy_weights(residual) * problem.mask
@@ -217,13 +200,7 @@ def update_depth(state: State, problem: Problem) -> Array:
 
 @jax.jit
 def iterate(state: State, problem: Problem, active: Array) -> State:
-    """One round of all blocks: albedo, lighting, depth, lagged length.
-
-    Args:
-        state: the current estimate.
-        problem: the images and the camera.
-        active: `[9]`, 1.0 for the harmonics in use, 0.0 for the others.
-    """
+    """One round of all blocks: albedo, lighting (`active`), depth, lagged length."""
     state = state._replace(albedo=update_albedo(state, problem))
     state = state._replace(lighting=update_lighting(state, problem, active))
     state = state._replace(depth=update_depth(state, problem))
@@ -238,13 +215,10 @@ def solve(
     iterations: int = 20,
     first_order: int = FIRST_ORDER_ITERATIONS,
 ) -> Result:
-    """Runs the descent from a depth map.
+    """Runs the descent from a depth map, positive inside a perspective camera's mask.
 
-    Args:
-        problem: the images and the camera.
-        depth: `[H, W]`, positive inside the mask for the perspective camera.
-        iterations: rounds at most; fewer where the weighted energy settles.
-        first_order: rounds with first-order lighting, before the second order.
+    Rounds are `iterations` at most, fewer where the weighted energy settles; the first
+    have first-order lighting.
     """
     state = initial_state(depth, problem)
     trace = [model.energy(state, problem)]

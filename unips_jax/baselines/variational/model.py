@@ -27,25 +27,16 @@ _W0, _W1, _G, _A = (math.sqrt(k / (4 * math.pi)) for k in (1, 3, 5, 15))
 
 
 class Problem(NamedTuple):
-    """What stays fixed while the method iterates.
+    """What stays fixed while the method iterates."""
 
-    Attributes:
-        images: `[N, C, H, W]`, in [0, 1], zero outside the mask.
-        mask: `[H, W]`, bool.
-        u: `[H, W]`, columns counted from the principal point.
-        v: `[H, W]`, rows counted from the principal point.
-        focal: scalar, focal length in pixels; 1 for the orthographic camera.
-        perspective: scalar, 1.0 for the perspective and 0.0 for the orthographic one.
-        clamp: scalar bool, True to leave negative shading out.
-    """
-
-    images: Array
-    mask: Array
-    u: Array
-    v: Array
-    focal: Array
+    images: Array  # `[N, C, H, W]`, in [0, 1], zero outside the mask
+    mask: Array  # `[H, W]`, bool
+    u: Array  # `[H, W]`, columns counted from the principal point
+    v: Array  # `[H, W]`, rows counted from the principal point
+    focal: Array  # scalar, focal length in pixels; 1 for the orthographic camera
+    # scalar, 1.0 for the perspective and 0.0 for the orthographic one
     perspective: Array
-    clamp: Array
+    clamp: Array  # scalar bool, True to leave negative shading out
 
     @property
     def smoothness(self) -> float:
@@ -54,35 +45,21 @@ class Problem(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the iterations change.
+    """What the iterations change."""
 
-    Attributes:
-        depth: `[H, W]`.
-        length: `[H, W]`, the lagged length of N(depth).
-        albedo: `[C, H, W]`.
-        lighting: `[N, C, 9]`, spherical-harmonic coefficients.
-    """
-
-    depth: Array
-    length: Array
-    albedo: Array
-    lighting: Array
+    depth: Array  # `[H, W]`
+    length: Array  # `[H, W]`, the lagged length of N(depth)
+    albedo: Array  # `[C, H, W]`
+    lighting: Array  # `[N, C, 9]`, spherical-harmonic coefficients
 
 
 class Energy(NamedTuple):
-    """The energies of a state, scalars.
+    """The energies of a state, scalars."""
 
-    Attributes:
-        photometric: sum of Cauchy's function of the residuals.
-        weighted: half the sum of squared residuals under the current weights.
-        smoothness: weighted Huber total variation of the albedo.
-        tie: penalty on the lagged length.
-    """
-
-    photometric: Array
-    weighted: Array
-    smoothness: Array
-    tie: Array
+    photometric: Array  # sum of Cauchy's function of the residuals
+    weighted: Array  # half the sum of squared residuals under the current weights
+    smoothness: Array  # weighted Huber total variation of the albedo
+    tie: Array  # penalty on the lagged length
 
 
 def linear_normals(depth: Array, problem: Problem) -> Array:
@@ -105,13 +82,7 @@ def inner_normals(depth: Array, problem: Problem) -> Array:
     """N(depth) with backward differences where forward ones would leave the mask.
 
     `raw_normals` has depth 0 beyond the mask, which spoils its right and lower rim.
-
-    Args:
-        depth: `[H, W]`.
-        problem: gives mask and camera.
-
-    Returns:
-        `[3, H, W]`, not normalised; (0, 0, -1) outside the mask.
+    `[3, H, W]`, not normalised; (0, 0, -1) outside the mask.
     """
     mask, slopes = problem.mask, []
     steps = forward(depth, mask, closed=True)
@@ -132,13 +103,9 @@ def length_of(normals: Array) -> Array:
 
 
 def harmonics(m: Array) -> Array:
-    """Real spherical harmonics of order 2, as polynomials of any vector.
+    """Real spherical harmonics of order 2, `[9, ...]`, as polynomials of any vector.
 
-    Args:
-        m: `[3, ...]`.
-
-    Returns:
-        `[9, ...]`: the three linear ones, the constant, the five quadratic ones.
+    The three linear ones, the constant, the five quadratic ones.
     """
     x, y, z = m
     linear = [_W1 * x, _W1 * y, _W1 * z, _W0 * jnp.ones_like(x)]
@@ -148,15 +115,7 @@ def harmonics(m: Array) -> Array:
 
 
 def shade_slope(lighting: Array, m: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of one shading by the vector's three components.
-
-    Args:
-        lighting: `[9]`, coefficients of `harmonics`.
-        m: `[3, ...]`.
-
-    Returns:
-        Three arrays `[...]`.
-    """
+    """Derivatives of one shading (lighting `[9]`) by the vector's three components."""
     x, y, z = m
     linear = _W1 * lighting[:3]
     xy, xz, yz, square = _A * lighting[4:8]
@@ -176,11 +135,10 @@ def shade(lighting: Array, normals: Array) -> Array:
 def residuals(
     depth: Array, length: Array, albedo: Array, lighting: Array, problem: Problem
 ) -> tuple[Array, Array]:
-    """Rendered minus observed.
+    """Rendered minus observed, and the shading, `[N, C, H, W]`.
 
-    Returns:
-        The residuals and the shading, both `[N, C, H, W]`; residuals are zero outside
-        the mask, and shading is clipped at zero if `problem.clamp`.
+    Residuals are zero outside the mask, and shading is clipped at zero if
+    `problem.clamp`.
     """
     shading = shade(lighting, raw_normals(depth, problem) / length)
     shading = jnp.where(problem.clamp, jnp.maximum(shading, 0.0), shading)

@@ -43,7 +43,10 @@ def variational(
     clamp: bool = False,
     border: Border = "authors",
 ) -> Method:
-    """Makes the variational method.
+    """Makes the variational method; it needs at least three images.
+
+    An infinite focal length means the orthographic camera; without any the perspective
+    camera takes the images' longer side, with a warning.
 
     Args:
         sh_schedule: "authors" starts with eight rounds of first-order lighting,
@@ -56,15 +59,6 @@ def variational(
         clamp: leave pixels with negative shading out.
         border: "authors" has depth 0 beyond the mask, which turns the normals of its
             right and lower rim away; "inside" reads these from the depth inside.
-
-    Returns:
-        The method. It ignores lights. An infinite focal length means the orthographic
-        camera; without any the perspective camera takes the images' longer side, with
-        a warning. It raises `Unsupported` for fewer than three images, an empty mask
-        or black images.
-
-    Raises:
-        ValueError: if an option is none of the above.
     """
     require_choice("sh_schedule", sh_schedule, get_args(Schedule))
     require_choice("camera", camera, get_args(Camera))
@@ -125,14 +119,10 @@ def make_problem(
     focal: float = np.inf,
     clamp: bool = False,
 ) -> Problem:
-    """Prepares images and camera.
+    """Prepares images `[N, H, W, C]`, linear, of any scale, and the camera.
 
-    Args:
-        images: `[N, H, W, C]`, linear, of any scale.
-        mask: `[H, W]`, bool.
-        focal: focal length in pixels, principal point at the images' centre; infinite
-            for the orthographic camera.
-        clamp: leave pixels with negative shading out.
+    `focal` is in pixels, infinite for the orthographic camera; the principal point is
+    at the images' centre. `clamp` leaves pixels with negative shading out.
     """
     height, width = mask.shape
     inside = np.where(mask[..., None], np.asarray(images, np.float32), 0)
@@ -150,12 +140,7 @@ def make_problem(
 
 
 def initial_depth(problem: Problem, volume: float) -> Array:
-    """Depth of a balloon seen by the problem's camera, `[H, W]`.
-
-    Args:
-        problem: gives mask and camera.
-        volume: the balloon's mean height in pixels.
-    """
+    """Depth `[H, W]` of a balloon of a mean height in pixels, seen by the camera."""
     height = balloon(problem.mask, volume)
     if not problem.perspective:
         return -height
