@@ -20,7 +20,7 @@ import numpy as np
 
 from unips_jax.console import command
 from unips_jax.errors import InputError
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 from unips_jax.scenes.environments import TABLE_SIZE, directions_of, load_tables
 
 ROOT = Path(__file__).resolve().parents[1]

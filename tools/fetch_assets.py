@@ -34,7 +34,8 @@ from packages import NPM, PIP, fetch
 
 from unips_jax.console import command
 from unips_jax.errors import InputError
-from unips_jax.io.claims import make_folder, write_whole
+from unips_jax.io.claims import make_folder
+from unips_jax.io.door import write_whole
 from unips_jax.io.images import read_image
 from unips_jax.scenes.environments import BLURS, FLUX, TABLE_SIZE, directions_of
 

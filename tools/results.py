@@ -23,7 +23,7 @@ from readings import ROOT, Setting
 
 from unips_jax.console import command
 from unips_jax.errors import InputError
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 from unips_jax.weights import weights_path, weights_record
 
 Figures = dict[str, Any]

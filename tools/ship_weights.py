@@ -23,7 +23,8 @@ import jax
 
 from unips_jax.console import cache_compilations, command
 from unips_jax.errors import InputError
-from unips_jax.io.claims import make_folder, write_whole
+from unips_jax.io.claims import make_folder
+from unips_jax.io.door import write_whole
 from unips_jax.scenes import SceneConfig
 from unips_jax.training.validation import validate
 from unips_jax.weights import (

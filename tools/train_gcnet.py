@@ -28,7 +28,7 @@ from unips_jax.baselines.gcnet.networks import GCNet, LightNet, NormalNet, with_
 from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.baselines.method import Lights
 from unips_jax.console import cache_compilations
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 from unips_jax.scenes import LIGHT_KINDS, SceneConfig, render_batch
 
 NET = GCNet(

@@ -22,7 +22,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from unips_jax.errors import InputError
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import from_json, to_json
 from unips_jax.models.network import (

@@ -12,7 +12,7 @@ import pytest
 from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.errors import InputError
 from unips_jax.evaluation.store import Store
-from unips_jax.io import claims
+from unips_jax.io import claims, door
 from unips_jax.io.images import check_picture
 from unips_jax.io.ps_wild import write_folder
 from unips_jax.models.config import ModelConfig
@@ -21,7 +21,7 @@ from unips_jax.weights import save_weights
 
 PARAMS = {"a": {"kernel": np.zeros(3, np.float32)}}
 WRITERS = {
-    "write_whole": lambda folder: claims.write_whole(folder / "a", b"data"),
+    "write_whole": lambda folder: door.write_whole(folder / "a", b"data"),
     "save_weights": lambda folder: save_weights(
         folder / "a", UniversalNetwork(ModelConfig.tiny(), PARAMS)
     ),
@@ -95,10 +95,10 @@ def test_what_others_claim_comes_last(tmp_path):
 
 def test_what_was_there_stays_until_the_new_is_whole(tmp_path, monkeypatch):
     path = tmp_path / "deep" / "file"
-    claims.write_whole(path, b"old")
+    door.write_whole(path, b"old")
     seen = []
     monkeypatch.setattr(os, "fsync", lambda _: seen.append(path.read_bytes()))
-    claims.write_whole(path, b"new")
+    door.write_whole(path, b"new")
     assert seen == [b"old"] and path.read_bytes() == b"new"
     assert files(tmp_path) == {"file"}
 
@@ -108,7 +108,7 @@ def test_names_that_are_too_long_are_cut_and_stay_apart(tmp_path):
     names = {claims.slug(first), claims.slug(second)}
     assert len(names) == 2 and max(map(len, names)) < 150
     assert claims.slug("n" * 120) == "n" * 120
-    claims.write_whole(tmp_path / ("n" * 255), b"data")
+    door.write_whole(tmp_path / ("n" * 255), b"data")
     assert files(tmp_path) == {"n" * 255}
 
 
@@ -131,12 +131,12 @@ def test_folders_and_pictures_that_cannot_be_written_are_refused_first(
 def test_a_full_disk_while_an_object_is_written(tmp_path, monkeypatch, number):
     left = [number]
 
-    def write_bytes(self, data):
+    def replace(self, target):
         left[0] -= 1
         if left[0] < 0:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    monkeypatch.setattr(Path, "replace", replace)
     truth = np.tile(np.float64([0, 0, 1]), (4, 4, 1))
     with pytest.raises(InputError, match=r"x\.data: cannot be written: No space left"):
         write_folder(

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import os
-import time
 import zipfile
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from unips_jax.app.objects import Object
 from unips_jax.errors import InputError
+from unips_jax.io.door import NotWritten, new_file
 from unips_jax.io.results import RECORD
 
 _JSON_BYTES = 100_000
@@ -41,11 +41,11 @@ def answered(
             return refused.answer
         except ClientDisconnect:
             return Response(status_code=400)
-        except InputError as error:
-            return JSONResponse({"error": str(error)}, 422)
-        except OSError as error:
+        except (OSError, NotWritten) as error:
             code = "disk_full" if error.errno in _FULL else "not_stored"
             return JSONResponse({"code": code, "values": {}}, 507)
+        except InputError as error:
+            return JSONResponse({"error": str(error)}, 422)
         except (ValueError, TypeError, KeyError):
             return JSONResponse({"code": "failed", "values": {}}, 422)
 
@@ -74,7 +74,7 @@ async def store_body(request: Request, path: Path, size: int, stalled_s: float) 
     """Writes a request's body to a file as it comes."""
     stream = request.stream().__aiter__()
     length = 0
-    with path.open("wb") as file:
+    with new_file(path) as file:
         while True:
             try:
                 part = await asyncio.wait_for(anext(stream), stalled_s)
@@ -94,14 +94,12 @@ def zipped(item: Object) -> Path:
     path = item.folder / "results.zip"
     made = target / RECORD
     if not path.exists() or path.stat().st_mtime < made.stat().st_mtime:
-        part = path.with_suffix(f".{time.monotonic_ns()}.part")
-        try:
-            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as z:
-                for file in sorted(target.iterdir()):
-                    z.write(file, f"{target.name}/{file.name}")
-            part.rename(path)
-        finally:
-            part.unlink(missing_ok=True)
+        with (
+            new_file(path) as new,
+            zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as z,
+        ):
+            for file in sorted(target.iterdir()):
+                z.write(file, f"{target.name}/{file.name}")
     return path
 
 

@@ -30,6 +30,7 @@ from unips_jax.app.objects import OVER, Object, Photograph, clean, unused
 from unips_jax.app.shown import short, whole
 from unips_jax.app.sorting import use
 from unips_jax.errors import InputError
+from unips_jax.io.door import move, write_whole
 from unips_jax.io.naming import VIDEO_SUFFIXES
 from unips_jax.io.selection import SUFFIXES
 
@@ -118,7 +119,7 @@ class Api:
             for index in range(8):
                 name = f"photo_{index + 1}.png"
                 data = (sample / f"L_{index:02}.png").read_bytes()
-                (item.inbox / name).write_bytes(data)
+                write_whole(item.inbox / name, data, sync=False)
                 item.photographs.append(Photograph(name, name, len(data)))
             item.changed()
         return JSONResponse({"id": item.id})
@@ -143,7 +144,7 @@ class Api:
         photo.state = "receiving"
         try:
             await store_body(request, part, size, self._limits.stalled_s)
-            part.rename(item.inbox / file)
+            move(part, item.inbox / file)
             photo.state = "new"
         except BaseException:
             item.photographs.remove(photo)
@@ -211,9 +212,7 @@ class Api:
         if kind != "auto":
             if not data.startswith(_PNG):
                 raise Refused(415, "failed")
-            part = item.drawn.with_suffix(".part")
-            part.write_bytes(data)
-            part.rename(item.drawn)
+            write_whole(item.drawn, data)
         item.mask = kind
         item.save()
         return JSONResponse({})

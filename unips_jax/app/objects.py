@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from unips_jax.errors import InputError
-from unips_jax.io.claims import claim, write_whole
+from unips_jax.io.claims import claim
+from unips_jax.io.door import write_whole
 
 OVER = ("done", "failed", "cancelled", "interrupted")
 

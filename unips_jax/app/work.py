@@ -17,6 +17,7 @@ from PIL import Image
 from unips_jax.app.worker import Report
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
+from unips_jax.io.door import new_file, writing
 from unips_jax.io.images import read_image_file, write_image
 
 _THUMBNAIL, _PICTURE = 240, 1024
@@ -109,7 +110,8 @@ def _unpack(container: Path, max_pixels: int) -> list[str]:
             files = sorted(folder.iterdir())
             names = [f"{container.stem}_{file.name}" for file in files]
             for file, name in zip(files, names, strict=True):
-                shutil.move(file, container.with_name(name))
+                with writing(container):
+                    shutil.move(file, container.with_name(name))  # from another disk
     except InputError:
         if container.suffix.lower() in VIDEO_SUFFIXES:
             raise
@@ -329,9 +331,8 @@ def _write_preview(path: Path, normals: np.ndarray) -> None:
     inside = 255 * normals.any(axis=-1, keepdims=True)
     colors = np.rint(127.5 * (normals + 1))
     picture = np.concatenate([colors, inside], axis=-1).astype(np.uint8)
-    part = path.with_name("preview-part.png")
-    Image.fromarray(picture).save(part)
-    part.rename(path)
+    with new_file(path) as file:
+        Image.fromarray(picture).save(file, format="png")
 
 
 def _full_mask(drawn: Path, photograph: Path, max_pixels: int) -> np.ndarray:

@@ -15,6 +15,7 @@ import tifffile
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import CURVES, encoding_of, srgb_encode
+from unips_jax.io.door import new_file, write_whole
 from unips_jax.io.formats.boxes import known_code, transfer_code
 from unips_jax.io.formats.encoded import NotRead
 from unips_jax.io.formats.raster import marked_srgb
@@ -91,13 +92,14 @@ def _unpack_pages(path: Path, folder: Path, max_pixels: int) -> None:
         with tifffile.TiffFile(path, is_ome=False) as tiff:
             images = _pages(tiff, path, max_pixels)
             for index, (pixels, icc) in enumerate(images, 1):
-                tifffile.imwrite(
-                    folder / f"page_{index:03}.tif",
-                    pixels,
-                    photometric="rgb" if pixels.ndim == 3 else "minisblack",
-                    iccprofile=icc,
-                    metadata=None,
-                )
+                with new_file(folder / f"page_{index:03}.tif") as file:
+                    tifffile.imwrite(
+                        file,
+                        pixels,
+                        photometric="rgb" if pixels.ndim == 3 else "minisblack",
+                        iccprofile=icc,
+                        metadata=None,
+                    )
     except (InputError, OSError):
         raise
     except Exception as error:  # the library raises many kinds
@@ -164,7 +166,8 @@ def _unpack_video(path: Path, folder: Path, frames: int, max_pixels: int) -> Non
             pixels = frame[..., ::-1]
             data = encode_image(".png", pixels if table is None else table[pixels])
             name = f"at_{int(seconds // 60):02}m{seconds % 60:06.3f}s.png"
-            (folder / name).write_bytes(data if table is None else marked_srgb(data))
+            data = data if table is None else marked_srgb(data)
+            write_whole(folder / name, data, sync=False)
 
 
 def _table(path: Path) -> np.ndarray | None:

@@ -8,7 +8,6 @@ for RNb-NeuS2 and its kin; normals.sfm, masks.sfm and albedos.sfm for Meshroom.
 """
 
 import dataclasses
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,6 +25,7 @@ from unips_jax.io.cameras import (
     read_sfm_data,
     sfm_data_of,
 )
+from unips_jax.io.door import new_file, write_json
 from unips_jax.io.images import read_image, write_image
 from unips_jax.io.normal_maps import read_normal_map
 from unips_jax.io.normals import encode_normals
@@ -121,21 +121,22 @@ def _write(
             write_image(place / "albedo" / name, color)
     center, radius = enclosing_sphere(cameras, masks)
     arrays: dict[str, Any] = dict(idr_cameras(cameras, sizes, center, radius))
-    np.savez(place / "cameras.npz", **arrays)
+    with new_file(place / "cameras.npz") as file:
+        np.savez(file, **arrays)
     for kind in kinds:
         files = [
             str(target.resolve() / kind / f"{index:03}.png")
             for index in range(len(pairs))
         ]
         data = sfm_data_of(content, cameras, files, sizes)
-        (place / f"{kind}s.sfm").write_text(json.dumps(data, indent=1), "utf-8")
+        write_json(place / f"{kind}s.sfm", data, indent=1)
     record = {
         "views": [{"pose": c.pose, "result": str(f)} for c, f in pairs],
         "center": center.tolist(),
         "radius": radius,
         "files": {"cameras.npz": file_hash(place / "cameras.npz")},
     }
-    (place / FOLDER_RECORD).write_text(json.dumps(record, indent=1), "utf-8")
+    write_json(place / FOLDER_RECORD, record, indent=1)
     return radius
 
 

@@ -8,7 +8,6 @@ environment, goes once around. No shadows are cast.
 
 import dataclasses
 import functools
-import json
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +20,7 @@ import tyro
 from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_linear, srgb_encode
+from unips_jax.io.door import write_json
 from unips_jax.io.images import read_image_file, require_finite, write_exr, write_image
 from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap
@@ -117,8 +117,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             },
             "files": names,
         }
-        text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
-        (place / RECORD).write_bytes(text.encode(errors="backslashreplace"))
+        write_json(place / RECORD, record, indent=2)
     print_line("surface", f"base colour: {source}")
     print_line("wrote", f"{options.output}/: {', '.join([*names, RECORD])}")
 

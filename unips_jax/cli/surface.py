@@ -12,7 +12,6 @@ Method: bilateral normal integration (Cao et al., ECCV 2022), which keeps jumps.
 """
 
 import dataclasses
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ import tyro
 
 from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
+from unips_jax.io.door import write_json, write_whole
 from unips_jax.io.images import read_image_file
 from unips_jax.io.masks import read_mask
 from unips_jax.io.normal_maps import print_examined, read_normal_map
@@ -149,8 +149,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             "exports": exported,
             "files": names,
         }
-        text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
-        (place / RECORD).write_bytes(text.encode(errors="backslashreplace"))
+        write_json(place / RECORD, record, indent=2)
     print_surface(facts)
     print_line("wrote", f"{options.output}/: {', '.join([*names, RECORD])}")
 
@@ -183,16 +182,15 @@ def _exports(
             colors=colors,
             max_faces=options.max_faces,
         )
-        (place / f"{name}.glb").write_bytes(data)
+        write_whole(place / f"{name}.glb", data, sync=False)
     if "print" in options.export:
         data, made["print"] = printable(depth, scale)
-        (place / f"{name}.stl").write_bytes(data)
+        write_whole(place / f"{name}.stl", data, sync=False)
     if "archive" in options.export:
         files = {file.name: file for file in results_of(options.normals)}
         files |= {file.name: file for file in place.iterdir()}
-        (place / f"{name}.zip").write_bytes(
-            archive(name, [files[key] for key in sorted(files)])
-        )
+        packed = archive(name, [files[key] for key in sorted(files)])
+        write_whole(place / f"{name}.zip", packed, sync=False)
         made["archive"] = sorted(files)
     return made
 

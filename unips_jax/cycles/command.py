@@ -13,7 +13,8 @@ from unips_jax.cycles import assets
 from unips_jax.cycles.blender_process import Blender, find_python
 from unips_jax.cycles.run import Settings, render_set
 from unips_jax.errors import InputError
-from unips_jax.io.claims import make_folder, write_whole
+from unips_jax.io.claims import make_folder
+from unips_jax.io.door import write_whole
 from unips_jax.io.images import check_picture, encode_image
 
 PRESETS: dict[str, dict[str, Any]] = {

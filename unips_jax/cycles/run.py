@@ -16,7 +16,8 @@ from unips_jax.cycles.blender_process import Blender, BlenderError
 from unips_jax.cycles.environments import draw_environment, read_mean_radiance
 from unips_jax.cycles.lighting import automatic_gain, draw_light
 from unips_jax.errors import InputError
-from unips_jax.io.claims import claim, claimed, write_whole
+from unips_jax.io.claims import claim, claimed
+from unips_jax.io.door import write_whole
 from unips_jax.io.images import write_image
 from unips_jax.io.ps_wild import focal_facts, write_folder
 
@@ -292,8 +293,7 @@ def render_set(
             render_object(blender, job, settings, folders)
             (failures / f"{job.name}.txt").unlink(missing_ok=True)
         except (BlenderError, InputError) as error:
-            failures.mkdir(exist_ok=True)
-            (failures / f"{job.name}.txt").write_text(f"{error}\n")
+            write_whole(failures / f"{job.name}.txt", f"{error}\n".encode())
             print(f"{job.name}: left out: {error}", file=sys.stderr)
             failed.append(job.name)
     return failed

@@ -23,7 +23,8 @@ from jax import Array
 
 from unips_jax.errors import InputError
 from unips_jax.estimation.pure import estimate_normals
-from unips_jax.io.claims import make_folder, write_whole
+from unips_jax.io.claims import make_folder
+from unips_jax.io.door import write_whole
 from unips_jax.models.config_json import to_json
 from unips_jax.models.network import UniversalNetwork
 from unips_jax.weights import SHIPPED, load_weights, save_weights, weights_hash

@@ -25,7 +25,7 @@ import jax.export
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 from unips_jax.version import __version__
 
 # The most programs that are kept, of half a megabyte each; the oldest go first.

@@ -19,7 +19,8 @@ from unips_jax.evaluation.sheets import Panel, sheet
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.summary import TABLES
 from unips_jax.evaluation.tables import figures_csv, files_of
-from unips_jax.io.claims import slug, write_whole
+from unips_jax.io.claims import slug
+from unips_jax.io.door import write_whole
 from unips_jax.io.images import encode_image
 from unips_jax.provenance import code_hash
 from unips_jax.version import __version__

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.claims import claim, slug, write_whole
+from unips_jax.io.claims import claim, slug
+from unips_jax.io.door import write_whole
 from unips_jax.io.images import encode_image
 from unips_jax.io.normals import encode_normals, read_normals
 

@@ -20,6 +20,7 @@ from jax import export
 from unips_jax.errors import InputError, install_hint
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.export.functions import decode_pixels, encode_set
+from unips_jax.io.door import write_json, write_whole
 from unips_jax.io.results import appearing_at_once, file_hash
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import to_json
@@ -92,8 +93,7 @@ def write_export(
         write(place, network, record)
         files = {file.name: file_hash(file) for file in sorted(place.iterdir())}
         record["files"] = files
-        text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
-        (place / RECORD).write_bytes(text.encode(errors="backslashreplace"))
+        write_json(place / RECORD, record, indent=2)
     return record
 
 
@@ -131,7 +131,7 @@ def write_onnx(folder: Path, network: UniversalNetwork, record: dict[str, Any]) 
         metadata = {"unips_jax": json.dumps(record, sort_keys=True)}
         model = graph.model(outputs, f"unips_{name}", metadata)
         onnx.checker.check_model(model)
-        (folder / f"{name}.onnx").write_bytes(model.SerializeToString())
+        write_whole(folder / f"{name}.onnx", model.SerializeToString(), sync=False)
 
 
 def write_stablehlo(
@@ -163,7 +163,7 @@ def write_stablehlo(
         data = exported.serialize()
     except ImportError as error:
         raise _missing("flatbuffers", error) from error
-    (folder / "estimate.stablehlo").write_bytes(data)
+    write_whole(folder / "estimate.stablehlo", data, sync=False)
 
 
 def _shapes(config: ModelConfig) -> dict[str, Any]:

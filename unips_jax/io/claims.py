@@ -1,11 +1,10 @@
-"""Claims on pieces of work that several processes share, and files put in place whole.
+"""Claims on pieces of work that several processes share.
 
 Claims are locks of the operating system (`filelock`), which lets them go when a process
 ends, however it ends.
 """
 
 import contextlib
-import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -15,6 +14,7 @@ from typing import TypeVar
 from filelock import FileLock, Timeout
 
 from unips_jax.errors import InputError
+from unips_jax.io.door import digest
 
 _T = TypeVar("_T")
 _LONGEST = 120  # characters of a name, of which there may be 255 bytes
@@ -59,43 +59,6 @@ def claimed(items: Iterable[_T], lock: Callable[[_T], Path]) -> Iterator[_T]:
             yield item
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Writes a file, and its folder, that is complete or absent, whatever happens.
-
-    A killed process may leave a temporary file in the folder.
-    """
-    # Any name may be as long as names can be.
-    temporary = path.parent / f".{_digest(path.name)}.{os.getpid()}.tmp"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with temporary.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InputError(
-            f"{path}: expected a place where it can be written, got: {error.strerror}; "
-            "free space there, or choose another"
-        ) from error
-
-
-@contextlib.contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Turns an OSError into an `InputError` that names what was being written."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror or error}; free space there, "
-            "or choose another place"
-        ) from error
-
-
 def make_folder(path: Path, option: str) -> None:
     """Makes a folder that may be written to, which a command line's `option` named."""
     try:
@@ -113,8 +76,4 @@ def make_folder(path: Path, option: str) -> None:
 def slug(text: str) -> str:
     """The text as part of a file's name; of long texts the beginning and a hash."""
     name = re.sub(r"[^A-Za-z0-9.+=-]+", "_", text).strip("_") or "_"
-    return name if len(name) <= _LONGEST else f"{name[:_LONGEST]}-{_digest(text)}"
-
-
-def _digest(text: str) -> str:
-    return hashlib.blake2b(os.fsencode(text), digest_size=6).hexdigest()
+    return name if len(name) <= _LONGEST else f"{name[:_LONGEST]}-{digest(text)}"

@@ -22,6 +22,7 @@ import OpenEXR
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
 from unips_jax.io.color import Encoding
+from unips_jax.io.door import write_whole
 from unips_jax.io.formats import Damaged, Encoded, NotRead, decode, open_encoded
 
 MAX_PIXELS = 200_000_000
@@ -153,21 +154,20 @@ def encode_image(suffix: str, pixels: np.ndarray) -> bytes:
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
     """Writes an image in its suffix's format, under any name; makes its folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(encode_image(path.suffix, pixels))
+    write_whole(path, encode_image(path.suffix, pixels), sync=False)
 
 
 def write_exr(
     path: Path, channels: Mapping[str, np.ndarray], comments: str = ""
 ) -> None:
-    """Writes channels of float32 as a compressed OpenEXR file; OSErrors pass."""
+    """Writes channels of float32 as a compressed OpenEXR file."""
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     if comments:
         header["comments"] = comments
     pixels = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
     data = io.BytesIO()  # OpenEXR's own errors do not tell what the file system said
     OpenEXR.File(header, pixels).write(data)
-    path.write_bytes(data.getbuffer())
+    write_whole(path, data.getbuffer(), sync=False)
 
 
 def check_picture(path: Path, option: str) -> None:

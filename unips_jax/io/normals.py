@@ -9,15 +9,14 @@ the frame of its cameras, x right, y down, z away from the viewer; those of x-le
 x, the red channel, flipped; OpenGL's are as the arrays.
 """
 
-import io
 import stat
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.door import new_file
 from unips_jax.io.images import (
     ImageFile,
     read_image_file,
@@ -53,23 +52,15 @@ def write_normals(
     """
     turned = turn_normals(normals, normal_map)
     write_image(folder / "normals.png", encode_normals(turned))
-    _write_in_memory(folder / "normals.npy", lambda file: np.save(file, normals))
+    with new_file(folder / "normals.npy") as file:
+        np.save(file, normals)
     if exr:
         write_exr(folder / "normals.exr", {"RGB": turned})
     if mat:
         import scipy.io
 
-        content = {"Normal_est": normals}
-        _write_in_memory(
-            folder / "normals.mat", lambda file: scipy.io.savemat(file, content)
-        )
-
-
-def _write_in_memory(path: Path, write: Callable[[io.BytesIO], None]) -> None:
-    """Writes a file whose writer would hide what the file system refuses."""
-    file = io.BytesIO()
-    write(file)
-    path.write_bytes(file.getbuffer())
+        with new_file(folder / "normals.mat") as file:
+            scipy.io.savemat(file, {"Normal_est": normals})
 
 
 def encode_normals(normals: np.ndarray) -> np.ndarray:

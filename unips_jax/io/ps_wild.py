@@ -16,7 +16,6 @@ Plain NumPy.
 import glob
 import json
 import math
-import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -27,8 +26,8 @@ import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.claims import writing
 from unips_jax.io.color import as_float
+from unips_jax.io.door import move, write_json, writing
 from unips_jax.io.images import read_image, write_exr, write_image
 from unips_jax.io.normals import encode_normals, has_unit_length, read_normals
 from unips_jax.io.selection import is_photograph
@@ -141,10 +140,9 @@ def write_folder(
                 write_image(partial / f"{title}.tif", encode_linear(values))
             if depth is not None:
                 write_exr(partial / "depth.exr", {"Z": np.where(mask, depth, 0)})
-            text = json.dumps(dict(facts), indent=1)
-            (partial / META).write_text(text + "\n")
+            write_json(partial / META, dict(facts), indent=1)
             partial.chmod(0o755)
-            os.rename(partial, folder)
+            move(partial, folder)
         except BaseException:
             shutil.rmtree(partial, ignore_errors=True)
             raise

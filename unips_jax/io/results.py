@@ -18,6 +18,7 @@ from typing import Any
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
+from unips_jax.io.door import NotWritten, reason_why, write_json
 from unips_jax.io.record_schema import file_of, load_record
 
 RECORD = "normals.json"
@@ -50,10 +51,7 @@ def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
     The other files are there already. Returns the names of all.
     """
     hashes = {file.name: file_hash(file) for file in sorted(folder.iterdir())}
-    text = json.dumps({**record, "files": hashes}, indent=2, ensure_ascii=False)
-    # Names that are not Unicode become JSON's escapes.
-    data = (text + "\n").encode(errors="backslashreplace")
-    (folder / RECORD).write_bytes(data)
+    write_json(folder / RECORD, {**record, "files": hashes}, indent=2)
     return sorted([*hashes, RECORD])
 
 
@@ -131,11 +129,10 @@ def appearing_at_once(target: Path, *, record: str = RECORD) -> Iterator[Path]:
             if place.is_dir():
                 _carry_over(place, new, record)
             _switch(place, new, work)
-    except OSError as error:
-        reason = error.strerror or error
+    except (OSError, NotWritten) as error:
         raise InputError(
-            f"{target}: cannot be written: {reason}; free space there, or choose "
-            "another -o"
+            f"{target}: cannot be written: {reason_why(error)}; free space there, or "
+            "choose another -o"
         ) from None
 
 

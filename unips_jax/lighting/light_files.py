@@ -7,7 +7,6 @@ base_color.exr    linear, float32
 base_color.png    16 bits, sRGB
 """
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
+from unips_jax.io.door import write_json, write_whole
 from unips_jax.io.images import write_exr, write_image
 from unips_jax.lighting.light_fit import (
     Lights,
@@ -63,13 +63,13 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
         },
         "photographs": photographs,
     }
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    (folder / "lights.json").write_bytes(text.encode(errors="backslashreplace"))
+    write_json(folder / "lights.json", content, indent=1)
     lines = [str(len(names))]
     for name, direction in zip(names, lights.directions, strict=True):
         lines.append(f"{name} {' '.join(f'{x:.6f}' for x in direction)}")
     text = "\n".join(lines) + "\n"
-    (folder / "lights.lp").write_bytes(text.encode(errors="surrogateescape"))
+    data = text.encode(errors="surrogateescape")
+    write_whole(folder / "lights.lp", data, sync=False)
 
 
 def write_base_color(

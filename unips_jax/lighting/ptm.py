@@ -18,7 +18,6 @@ three colours are those of the picture; coefficient = (level - bias) * scale, le
 values from 0 to 1, in the order 1, x, y, x^2, x y, y^2.
 """
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +26,7 @@ import numpy as np
 import simplejpeg
 
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
+from unips_jax.io.door import new_file, write_json, write_whole
 from unips_jax.lighting.light_fit import Lights, irradiance, strips
 
 _WHITE = 0.95  # what the brightest half a percent is brought to, linear
@@ -179,7 +179,7 @@ def write_ptm(path: Path, fit: TextureMap) -> dict[str, float]:
         f"PTM_1.2\nPTM_FORMAT_RGB\n{width}\n{height}\n"
         f"{' '.join(f'{x:.8g}' for x in scale)}\n{' '.join(str(x) for x in bias)}\n"
     )
-    with path.open("wb") as file:
+    with new_file(path) as file:
         file.write(header.encode())
         for block in stored:
             file.write(np.ascontiguousarray(block[::-1]).tobytes())
@@ -212,7 +212,7 @@ def write_planes(folder: Path, fit: TextureMap) -> None:
         data = simplejpeg.encode_jpeg(
             plane, quality=_JPEG_QUALITY, colorspace="RGB", colorsubsampling="444"
         )
-        (folder / f"plane_{index}.jpg").write_bytes(data)
+        write_whole(folder / f"plane_{index}.jpg", data, sync=False)
     info = {
         "width": width,
         "height": height,
@@ -224,7 +224,7 @@ def write_planes(folder: Path, fit: TextureMap) -> None:
         "quality": _JPEG_QUALITY,
         "materials": [{"scale": scale.ravel().tolist(), "bias": bias.ravel().tolist()}],
     }
-    (folder / "info.json").write_text(json.dumps(info) + "\n")
+    write_json(folder / "info.json", info)
 
 
 def _coefficients(values: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from unips_jax.io.door import new_file, new_path
+
 AnimationFormat = Literal["mp4", "gif", "webp"]
 # VP9 plays in browsers; not every build of OpenCV has it, but each has the other.
 _CODECS = ("vp09", "mp4v")
@@ -22,23 +24,26 @@ def write_animation(path: Path, frames: Iterable[np.ndarray], *, fps: float) -> 
         fps: frames per second.
 
     Raises:
-        OSError: if no encoder takes the frames, or they cannot be written.
+        NotWritten: if no encoder takes the frames, or they cannot be written.
     """
     if path.suffix.lower() == ".mp4":
-        _write_mp4(path, frames, fps)
+        with new_path(path) as part:
+            _write_mp4(part, frames, fps)
         return
     from PIL import Image
 
     pictures = (Image.fromarray(frame) for frame in frames)
     first = next(pictures)
-    first.save(
-        path,
-        save_all=True,
-        append_images=pictures,
-        duration=round(1000 / fps),
-        loop=0,
-        quality=85,  # of WebP
-    )
+    with new_file(path) as file:
+        first.save(
+            file,
+            format=path.suffix[1:],
+            save_all=True,
+            append_images=pictures,
+            duration=round(1000 / fps),
+            loop=0,
+            quality=85,  # of WebP
+        )
 
 
 def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
@@ -60,9 +65,7 @@ def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     written = round(reader.get(cv2.CAP_PROP_FRAME_COUNT))
     reader.release()
     if written != count:  # OpenCV writes on without a word where the disk is full
-        raise OSError(
-            errno.EIO, f"{written} of {count} frames could be written", str(path)
-        )
+        raise OSError(errno.EIO, f"{written} of {count} frames could be written")
 
 
 def _writer(path: Path, fps: float, size: tuple[int, ...]) -> Any:

@@ -15,7 +15,8 @@ import numpy as np
 
 from unips_jax.console import track
 from unips_jax.errors import InputError
-from unips_jax.io.claims import claimed, write_whole
+from unips_jax.io.claims import claimed
+from unips_jax.io.door import write_whole
 from unips_jax.io.images import encode_image
 from unips_jax.io.ps_wild import focal_facts, read_meta, write_folder
 from unips_jax.provenance import code_hash

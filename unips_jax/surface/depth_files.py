@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.door import new_file
 from unips_jax.io.formats.exr import MAGIC
 from unips_jax.io.images import write_exr
 
@@ -89,4 +90,5 @@ def _write_png(path: Path, levels: np.ndarray, text: str) -> None:
 
     chunks = PngImagePlugin.PngInfo()
     chunks.add_text("Description", text)
-    Image.fromarray(levels).save(path, pnginfo=chunks)
+    with new_file(path) as file:
+        Image.fromarray(levels).save(file, format="png", pnginfo=chunks)

@@ -13,6 +13,7 @@ import numpy as np
 
 from unips_jax.errors import InputError, install_hint
 from unips_jax.io.color import as_linear
+from unips_jax.io.door import write_whole
 from unips_jax.surface.gltf import GltfMesh, encode_glb
 
 SUFFIXES = (".ply", ".obj", ".glb")
@@ -131,7 +132,7 @@ def write_mesh(
             shape.visual.vertex_colors = painted
         shape.units = stated
         data = _encoded(shape, path.suffix, f"unit: {stated}")
-    path.write_bytes(data)
+    write_whole(path, data, sync=False)
     return len(shape.faces)
 
 

@@ -28,6 +28,7 @@ from orbax.checkpoint import multihost
 from orbax.checkpoint import v1 as ocp
 
 from unips_jax.errors import InputError
+from unips_jax.io.door import move, write_whole
 from unips_jax.models.config_json import to_json
 from unips_jax.training.checksums import damage, write_checksums
 from unips_jax.training.config import Config
@@ -224,7 +225,7 @@ class Checkpoints:
         for number, problem in damaged.items():
             aside = self._path / f"{number}.damaged"
             shutil.rmtree(aside, ignore_errors=True)
-            (self._path / str(number)).rename(aside)
+            move(self._path / str(number), aside)
             say(
                 f"checkpoint {number} is damaged ({problem}): set aside as {aside}, "
                 f"going on from checkpoint {step}"
@@ -238,9 +239,9 @@ class Checkpoints:
             if jax.process_index() > 0:
                 return
             partial = self._path / f"{step}.partial"
-            (partial / _STEP).write_text(f"{step}\n")
+            write_whole(partial / _STEP, f"{step}\n".encode())
             write_checksums(partial)
-            partial.rename(self._path / str(step))
+            move(partial, self._path / str(step))
             for old in self._steps()[: -self._config.train.keep]:
                 shutil.rmtree(self._path / str(old))
 

@@ -3,7 +3,7 @@
 import hashlib
 from pathlib import Path
 
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 
 _NAME = "SHA256SUMS"
 

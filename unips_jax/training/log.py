@@ -11,8 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from unips_jax.errors import InputError
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import append_line, write_whole
 from unips_jax.training.tracking import Sink, TensorBoard
 
 # The order of metrics in printed lines, which are to fit 100 columns.
@@ -107,14 +106,7 @@ class TrainLog:
         if not self._active:
             return
         numbers = {name: float(value) for name, value in values.items()}
-        try:
-            with self._path.open("a") as file:
-                file.write(json.dumps({"step": step, **numbers}) + "\n")
-        except OSError as error:
-            raise InputError(
-                f"{self._path}: expected a file that can be written, got: "
-                f"{error.strerror}; mend that, the same command then goes on"
-            ) from error
+        append_line(self._path, json.dumps({"step": step, **numbers}))
         for sink in self._sinks:
             sink.write_scalars(step, numbers)
 

@@ -5,6 +5,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,6 +14,7 @@ from jax.sharding import Mesh
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
+from unips_jax.io.door import new_file
 from unips_jax.training.config import Config
 from unips_jax.training.sharding import to_host
 from unips_jax.training.step import Batch
@@ -92,13 +94,11 @@ def check_finite(
     path = workdir / f"nonfinite_step{step}.npz"
     arrays, _ = jax.tree.flatten_with_path(to_host(batch))
     if jax.process_index() == 0:
-        np.savez(
-            path,
-            **{
-                jax.tree_util.keystr(k, simple=True, separator="."): x
-                for k, x in arrays
-            },
-        )
+        named: dict[str, Any] = {
+            jax.tree_util.keystr(k, simple=True, separator="."): x for k, x in arrays
+        }
+        with new_file(path) as file:
+            np.savez(file, **named)
     raise FloatingPointError(
         f"step {step}: loss {loss} or its gradient is not finite; the batch is in "
         f"{path}. The same run would come here again: choose another --workdir, a "

@@ -12,7 +12,7 @@ from typing import Any
 
 import jinja2
 
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 from unips_jax.io.results import appearing_at_once, file_hash
 from unips_jax.viewer import tiles
 from unips_jax.viewer.layers import (

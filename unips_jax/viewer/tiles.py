@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 from unips_jax.viewer.layers import (
     View,
     encoded,
@@ -66,7 +66,7 @@ def write_tiles(folder: Path, result: Result, view: View) -> int:
             for place, part in _parts(at(level)):
                 name = f"{layer}-{number}-{place}"
                 script = f'unipsTile("{name}","{pack(part)}");\n'
-                write_whole(folder / f"{name}.js", script.encode())
+                write_whole(folder / f"{name}.js", script.encode(), sync=False)
                 count += 1
 
     write("normals", lambda level: normals_as_bytes(result, level), png)

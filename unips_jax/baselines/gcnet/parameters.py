@@ -19,7 +19,7 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 from safetensors.numpy import save
 
 from unips_jax.errors import InputError
-from unips_jax.io.claims import write_whole
+from unips_jax.io.door import write_whole
 
 Network = Literal["gcnet", "ps_fcn", "lcnet"]
 

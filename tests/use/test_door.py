@@ -1,0 +1,57 @@
+"""The door through which files are written."""
+
+import json
+
+import numpy as np
+import pytest
+from small_disk import small_disk
+
+from unips_jax.io import door
+
+
+def test_lines_are_added_whole_or_not_at_all(tmp_path):
+    line = "x" * 999
+    with small_disk(tmp_path / "disk", 4096) as place:
+        path = place / "lines"
+        for _ in range(4):
+            door.append_line(path, line)
+        with pytest.raises(door.NotWritten, match="lines: cannot be written: No space"):
+            door.append_line(path, line)
+        assert path.read_text() == 4 * f"{line}\n"
+    door.append_line(tmp_path / "new", "a")
+    door.append_line(tmp_path / "new", "b")
+    assert (tmp_path / "new").read_text() == "a\nb\n"
+
+
+def test_the_outermost_place_is_named(tmp_path):
+    with (
+        pytest.raises(door.NotWritten) as caught,
+        door.writing(tmp_path / "thing"),
+        door.new_file(tmp_path / "part"),
+    ):
+        raise OSError(28, "No space left on device", "inside")
+    expected = f"{tmp_path}/thing: cannot be written: No space left on device; free"
+    assert str(caught.value).startswith(expected) and caught.value.errno == 28
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("by_name", [False, True])
+def test_what_fails_leaves_what_was_there(by_name, tmp_path):
+    path = tmp_path / "file.npz"
+    door.write_whole(path, b"old")
+    with pytest.raises(ZeroDivisionError):
+        if by_name:
+            with door.new_path(path) as part:
+                assert part.suffix == ".npz" and part.parent == tmp_path
+                part.write_bytes(b"half")
+                raise ZeroDivisionError
+        with door.new_file(path) as file:
+            np.savez(file, a=np.zeros(9))
+            raise ZeroDivisionError
+    assert path.read_bytes() == b"old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_records_hold_names_that_are_not_unicode(tmp_path):
+    door.write_json(tmp_path / "a.json", {"name": "caf\udce9 é"}, indent=1)
+    data = (tmp_path / "a.json").read_bytes()
+    assert json.loads(data)["name"] == "caf\udce9 é" and "é".encode() in data
