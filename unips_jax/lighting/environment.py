@@ -41,25 +41,17 @@ def _lobe_shares() -> tuple[np.ndarray, np.ndarray]:
 
 
 class Blurred(NamedTuple):
-    """An environment, and averages of it.
+    """An environment, and averages of it."""
 
-    Attributes:
-        sharp: `[h, w, 3]`, as it was given.
-        diffuse: `[32, 64, 3]`, the mean over each hemisphere, weighted by the cosine.
-        glossy: `[5, 32, 64, 3]`, the mean over GGX's lobe for roughness 0.2, 0.4 ... 1.
-    """
-
-    sharp: Array
+    sharp: Array  # `[h, w, 3]`, as it was given
+    # `[32, 64, 3]`, the mean over each hemisphere, weighted by the cosine
     diffuse: Array
+    # `[5, 32, 64, 3]`, the mean over GGX's lobe for roughness 0.2, 0.4 ... 1.
     glossy: Array
 
 
 def sphere(height: int, width: int) -> tuple[Array, Array]:
-    """Directions and solid angles of an equirectangular picture's pixels.
-
-    Returns:
-        Unit vectors `[height, width, 3]` and steradians `[height, width]`.
-    """
+    """Unit vectors `[h, w, 3]` and steradians `[h, w]` of a picture's pixels."""
     down = (jnp.arange(height) + 0.5)[:, None] * (math.pi / height)
     around = ((jnp.arange(width) + 0.5) / width - 0.5)[None] * (2 * math.pi)
     level = jnp.sin(down)
@@ -72,9 +64,7 @@ def sphere(height: int, width: int) -> tuple[Array, Array]:
 def turned(environment: Array, degrees: Array | float) -> Array:
     """The environment turned about the vertical, counter-clockwise from above.
 
-    Args:
-        environment: `[h, w, 3]`.
-        degrees: what was behind the object comes to its left by 90.
+    What was behind the object comes to its left by 90 degrees.
     """
     width = environment.shape[1]
     shift = jnp.asarray(degrees, jnp.float32) * (width / 360)
@@ -86,11 +76,7 @@ def turned(environment: Array, degrees: Array | float) -> Array:
 
 
 def blurred(environment: Array) -> Blurred:
-    """What `glossy_light` reads, and `look_up` for diffuse light.
-
-    Args:
-        environment: `[h, w, 3]`.
-    """
+    """What `glossy_light` reads, and `look_up` for diffuse light, of `[h, w, 3]`."""
     small = jax.image.resize(environment, (*_SIZE, 3), "linear", antialias=True)
     directions, solid = sphere(*_SIZE)
     # Else the compiler would work the tables out.
@@ -113,12 +99,7 @@ def blurred(environment: Array) -> Blurred:
 
 
 def look_up(table: Array, direction: Array) -> Array:
-    """Reads a picture between its pixels: `[..., 3]`.
-
-    Args:
-        table: `[h, w, 3]`.
-        direction: `[..., 3]`, unit.
-    """
+    """Reads a picture `[h, w, 3]` between its pixels, at unit directions `[..., 3]`."""
     height, width, _ = table.shape
     x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
     rows, columns, down, right = pixels_around(x, y, z, height, width)
@@ -135,8 +116,7 @@ def pixels_around(
 ) -> tuple[tuple[Array, Array], tuple[Array, Array], Array, Array]:
     """The four pixels of a picture between which unit directions lie.
 
-    Returns:
-        Two rows, two columns, and the shares of the second ones.
+    Returns two rows, two columns, and the shares of the second ones.
     """
     # At the poles and behind the camera derivatives of the angles are not finite.
     row = jnp.arccos(jnp.clip(y, -0.999999, 0.999999)) * (height / math.pi) - 0.5
@@ -152,12 +132,10 @@ def pixels_around(
 
 
 def glossy_light(environment: Blurred, mirror: Array, roughness: Array) -> Array:
-    """Mean radiance over the lobes of rough mirrors, `[..., 3]`.
+    """Mean radiance `[..., 3]` over the lobes of rough mirrors.
 
-    Args:
-        environment: from `blurred`.
-        mirror: `[..., 3]`, unit, the mirror directions.
-        roughness: `[...]`, in [0, 1].
+    `mirror` are the unit mirror directions `[..., 3]`, `roughness` `[...]` is in [0,
+    1].
     """
     place = jnp.clip(roughness / _ROUGHNESS, 0.0, _LEVELS)[..., None]
     total = look_up(environment.sharp, mirror) * jnp.maximum(1 - place, 0.0)
@@ -170,17 +148,12 @@ def glossy_light(environment: Blurred, mirror: Array, roughness: Array) -> Array
 def harmonic_light(
     coefficients: Array, normal: Array, mirror: Array, roughness: Array
 ) -> tuple[Array, Array]:
-    """Diffuse and glossy light of spherical harmonics.
+    """Diffuse and glossy light of spherical harmonics, below 0 where the series is.
 
-    Args:
-        coefficients: `[1, 4 or 9, 3]`, of radiance; see `unips_jax.lighting.harmonics`.
-        normal: `[..., 3]`, unit.
-        mirror: `[..., 3]`, unit, the mirror directions.
-        roughness: `[...]`, in [0, 1].
-
-    Returns:
-        The mean over each hemisphere, weighted by the cosine, and that over the lobe
-        around the mirror direction, `[..., 3]` each, below 0 where the series is.
+    The mean over each hemisphere, weighted by the cosine, and that over the lobe around
+    the mirror direction, `[..., 3]` each. `coefficients` `[1, 4 or 9, 3]` are of
+    radiance, see `unips_jax.lighting.harmonics`; `normal` and `mirror` unit,
+    `roughness` in [0, 1].
     """
     count = len(coefficients)
     band = BAND[:count]

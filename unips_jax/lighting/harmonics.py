@@ -22,15 +22,7 @@ COSINE_LOBE = np.array([math.pi, 2 * math.pi / 3, math.pi / 4])
 
 
 def harmonics(directions: Any, xp: ModuleType = np) -> Any:
-    """The nine functions at directions.
-
-    Args:
-        directions: `[..., 3]`, unit.
-        xp: numpy or jax.numpy.
-
-    Returns:
-        `[..., 9]`.
-    """
+    """The nine functions `[..., 9]` at unit directions, in numpy or jax.numpy."""
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
     return xp.stack(
         [

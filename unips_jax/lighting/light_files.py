@@ -30,13 +30,7 @@ _BRIGHT = 0.8  # base colour that the brightest percent is brought to
 
 
 def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
-    """Writes `lights.json` and `lights.lp`.
-
-    Args:
-        folder: where; it exists.
-        names: the photographs' files.
-        lights: their lights.
-    """
+    """Writes `lights.json` and `lights.lp` into a folder that exists."""
     photographs = [
         {
             "file": name,
@@ -84,18 +78,9 @@ def write_base_color(
     """Finds the base colour of every pixel, and writes `base_color.exr` and `.png`.
 
     The albedo that explains the photographs best, for matt surfaces, shadows and
-    highlights spared; up to one factor, and to the lights' common colour.
-
-    Args:
-        folder: where; it exists.
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        normals: `[H, W, 3]`, 0 where there is none.
-        mask: `[H, W]`, bool.
-        lights: from `estimate_lights`.
-        transfer: how values encode light.
-
-    Returns:
-        For the record.
+    highlights spared; up to one factor, and to the lights' common colour. Images are
+    `[N, H, W, 3]`, uint8, uint16 or float32; normals `[H, W, 3]`, 0 where there is
+    none. Returns what the record keeps.
     """
     color = base_color(images, normals, mask, lights, transfer=transfer)
     comments = "base colour, linear, up to a factor; 0: no surface"

@@ -8,9 +8,9 @@ found in turns by least squares whose weights spare shadows and highlights.
 Directions: least squares explain what is glossy by lights that are too oblique (the
 contrast between photographs is larger than a matt surface's). The network's guesses of
 the mean directions are far better and are taken as they are; without them directions
-are fitted too, which suits matt objects under lamps alone. What a photograph's
-exposure, the lights' common colour and the albedo have in common cannot be told apart:
-lights are relative to the photographs' mean.
+are fitted too, which suits matt objects under lamps alone. A photograph's exposure, the
+lights' common colour and the albedo have a common factor that nothing settles: lights
+are relative to the photographs' mean.
 """
 
 from collections.abc import Iterator
@@ -54,14 +54,10 @@ class Lights(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """What is usual among an image's pixels.
+    """What is usual among an image's pixels."""
 
-    Attributes:
-        albedo: `[3]`.
-        residuals: `[N, 1, 3]`, deviations of pixel over albedo from irradiance.
-    """
-
-    albedo: np.ndarray
+    albedo: np.ndarray  # `[3]`
+    # `[N, 1, 3]`, deviations of pixel over albedo from irradiance
     residuals: np.ndarray
 
 
@@ -83,9 +79,6 @@ def estimate_lights(
         guesses: `[N, 3]`, the lights' mean directions, 1 long for a lamp, shorter for
             scattered light, as `guess_lights` gives them; None: they are fitted.
         transfer: how values encode light.
-
-    Returns:
-        The lights.
 
     Raises:
         ValueError: if shapes do not fit, or no pixel has a normal.
@@ -111,12 +104,7 @@ def estimate_lights(
 
 
 def irradiance(lights: Lights, normals: np.ndarray) -> np.ndarray:
-    """Irradiance on surfaces, without cast shadows: `[N, P, 3]`, at least 0.
-
-    Args:
-        lights: of N photographs.
-        normals: `[P, 3]`, unit.
-    """
+    """Irradiance on unit normals `[P, 3]`, without cast shadows: `[N, P, 3]`, >= 0."""
     cosine = np.maximum(lights.directions @ normals.T, 0)
     coefficients = COSINE_LOBE[BAND][:, None] * lights.surroundings
     around = harmonics(normals) @ coefficients  # [N, P, 3]
@@ -130,7 +118,9 @@ def robust_albedo(
     scales: Scales | None = None,
     rounds: int = 3,
 ) -> np.ndarray:
-    """Albedo that explains pixels best, but for shadows and highlights.
+    """Albedo that explains pixels best, but for shadows and highlights: `[P, 3]`, > 0.
+
+    With two photographs or fewer nothing is spared.
 
     Args:
         pixels: `[N, P, 3]`, float32 or float64.
@@ -138,9 +128,6 @@ def robust_albedo(
         scales: of more pixels than these, so that parts of an image fit together;
             None: of these.
         rounds: of reweighting.
-
-    Returns:
-        `[P, 3]`, above 0. With two photographs or fewer nothing is spared.
     """
     weight = known = np.clip(light / _FADE, 0, 1)
     typical = None if scales is None else scales.albedo

@@ -36,11 +36,7 @@ _JPEG_QUALITY = 95
 
 
 def basis(directions: np.ndarray) -> np.ndarray:
-    """The six terms at light directions: x^2, y^2, x y, x, y, 1; `[..., 6]`.
-
-    Args:
-        directions: `[..., 3]`, unit.
-    """
+    """The six terms at unit directions: x^2, y^2, x y, x, y, 1; `[..., 6]`."""
     x, y = directions[..., 0], directions[..., 1]
     return np.stack([x * x, y * y, x * y, x, y, np.ones_like(x)], -1)
 
@@ -48,9 +44,8 @@ def basis(directions: np.ndarray) -> np.ndarray:
 def fit_matrix(directions: np.ndarray) -> np.ndarray:
     """What turns a pixel's N values to its six coefficients, `[6, N]`.
 
-    Args:
-        directions: `[N, 3]`, unit. Where they do not settle the polynomial, the terms
-            of higher degree are small.
+    Where the unit directions `[N, 3]` do not settle the polynomial, the terms of higher
+    degree are small.
     """
     terms = basis(directions)
     pull = _RIDGE * len(terms) * np.diag([1, 1, 1, 0.1, 0.1, 1e-6])
@@ -60,16 +55,10 @@ def fit_matrix(directions: np.ndarray) -> np.ndarray:
 def equalised(
     images: np.ndarray, transfer: Transfer, lights: Lights, white: float
 ) -> np.ndarray:
-    """Photographs as if their lights were equally bright and white: display values.
+    """Photographs `[N, ..., 3]` as if their lights were equally bright and white.
 
-    Args:
-        images: `[N, ..., 3]`, uint8, uint16 or float32.
-        transfer: how values encode light.
-        lights: their lights.
-        white: linear value, so brought to the same light, that becomes 1.
-
-    Returns:
-        `[N, ..., 3]`, sRGB, in [0, 1].
+    sRGB, in [0, 1]; `white` is the linear value, so brought to the same light, that
+    becomes 1.
     """
     gains = 1 / (facing(lights) * white)
     gains = gains.reshape(len(images), *[1] * (images.ndim - 2), 3)
@@ -84,25 +73,15 @@ def facing(lights: Lights) -> np.ndarray:
 
 
 class TextureMap(NamedTuple):
-    """A fit to photographs; its coefficients are computed as they are written.
+    """A fit to photographs; its coefficients are computed as they are written."""
 
-    Attributes:
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        mask: `[H, W]`, bool; what is outside is black.
-        lights: of the photographs.
-        transfer: how values encode light.
-        white: linear value, in even light, that is shown as 1.
-        matrix: see `fit_matrix`.
-        sample: `[P, 3, 6]`, coefficients of some pixels.
-    """
-
-    images: np.ndarray
-    mask: np.ndarray
+    images: np.ndarray  # `[N, H, W, 3]`, uint8, uint16 or float32
+    mask: np.ndarray  # `[H, W]`, bool; what is outside is black
     lights: Lights
     transfer: Transfer
-    white: float
-    matrix: np.ndarray
-    sample: np.ndarray
+    white: float  # linear value, in even light, that is shown as 1
+    matrix: np.ndarray  # see `fit_matrix`
+    sample: np.ndarray  # `[P, 3, 6]`, coefficients of some pixels
 
     def strips(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
         """Yields some rows, their mask, coefficients and the photographs' values."""
@@ -126,14 +105,7 @@ def fit_texture_map(
     *,
     transfer: Transfer = "linear",
 ) -> TextureMap:
-    """Fits a polynomial texture map.
-
-    Args:
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        mask: `[H, W]`, bool; what is outside becomes black.
-        lights: from `estimate_lights`.
-        transfer: how values encode light.
-    """
+    """Fits a polynomial texture map; `lights` come from `estimate_lights`."""
     rows, columns = np.nonzero(mask)
     pick = np.random.default_rng(0).permutation(rows.size)[:20000]
     some = images[:, rows[pick], columns[pick]]
@@ -147,15 +119,9 @@ def fit_texture_map(
 def write_ptm(path: Path, fit: TextureMap) -> dict[str, float]:
     """Writes a texture map as `PTM_FORMAT_RGB`.
 
-    Memory beyond the photographs: 18 bytes a pixel.
-
-    Args:
-        path: where.
-        fit: from `fit_texture_map`.
-
-    Returns:
-        For the record: the white point, and how like the (equalised) photographs the
-        map as it is written looks, PSNR in dB over the mask.
+    Memory beyond the photographs: 18 bytes a pixel. Returns, for the record, the white
+    point, and how like the (equalised) photographs the map as it is written looks, PSNR
+    in dB over the mask.
     """
     height, width = fit.mask.shape
     low, high = fit.levels()
@@ -190,11 +156,7 @@ def write_ptm(path: Path, fit: TextureMap) -> dict[str, float]:
 def write_planes(folder: Path, fit: TextureMap) -> None:
     """Writes a texture map as Relight does: `info.json`, `plane_0.jpg` to `_5.jpg`.
 
-    Memory beyond the photographs: 18 bytes a pixel.
-
-    Args:
-        folder: where; it exists.
-        fit: from `fit_texture_map`.
+    Memory as in `write_ptm`; the folder exists.
     """
     height, width = fit.mask.shape
     low, high = (ends[:, _PLANES].T for ends in fit.levels())  # [6, 3]

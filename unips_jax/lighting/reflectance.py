@@ -15,19 +15,12 @@ DIELECTRIC_F0 = 0.04
 
 
 class Surface(NamedTuple):
-    """Reflectance at every pixel.
+    """Reflectance at every pixel."""
 
-    Attributes:
-        base_color: `[3, P]`, linear, in [0, 1].
-        roughness: `[P]`, perceptual (the square root of GGX's alpha).
-        metallic: `[P]`, in [0, 1].
-        specular: scalar in [0, 1], weight of the dielectric lobe; 0 is Lambertian.
-    """
-
-    base_color: Array
-    roughness: Array
-    metallic: Array
-    specular: Array
+    base_color: Array  # `[3, P]`, linear, in [0, 1]
+    roughness: Array  # `[P]`, perceptual (the square root of GGX's alpha)
+    metallic: Array  # `[P]`, in [0, 1]
+    specular: Array  # scalar in [0, 1], weight of the dielectric lobe; 0 is Lambertian
 
 
 def fresnel_f0(surface: Surface) -> Array:
@@ -63,12 +56,8 @@ def _polynomial(x: Array, coefficients: tuple[Array | float, ...]) -> Array:
 def environment_brdf(cosine: Array, roughness: Array) -> tuple[Array, Array]:
     """Directional albedo of the specular lobe as F0 * a + b.
 
-    Args:
-        cosine: between normal and direction, in [0, 1].
-        roughness: perceptual.
-
-    Returns:
-        a and b, at least 0; a + b is at most about 1.
+    `cosine` is between normal and direction, `roughness` perceptual. a and b are at
+    least 0; a + b is at most about 1.
     """
     rows = [_polynomial(cosine, row) for row in _TOTAL_FIT]
     total = jnp.clip(_polynomial(roughness, tuple(rows)), 0.0, 1.0)
@@ -96,14 +85,8 @@ def mean_dielectric_albedo(roughness: Array) -> Array:
 def ggx(n_h: Array, n_l: Array, n_v: Array, alpha: Array) -> Array:
     """Distribution times visibility, D G / (4 n_l n_v), height-correlated Smith.
 
-    Args:
-        n_h: cosine between normal and half vector.
-        n_l: cosine between normal and light.
-        n_v: cosine between normal and viewer.
-        alpha: GGX's width, roughness squared.
-
-    Returns:
-        In 1/sr, to be multiplied by Fresnel and n_l.
+    Of the normal's cosines to half vector, light and viewer, and GGX's width, roughness
+    squared. In 1/sr, to be multiplied by Fresnel and n_l.
     """
     a2 = alpha * alpha
     d = n_h * n_h * (a2 - 1) + 1
@@ -136,13 +119,8 @@ def reflectance(
 ) -> Array:
     """The bidirectional reflectance, `[3, P]` in 1/sr.
 
-    Args:
-        surface: at P pixels.
-        n_l: cosine between normal and light, in (0, 1], as the others `[P]`.
-        n_v: cosine between normal and viewer, in (0, 1].
-        n_h: cosine between normal and half vector.
-        v_h: cosine between viewer and half vector.
-        widening: added to GGX's width for lights of some extent.
+    Of cosines `[P]` in (0, 1] between normal (n), light (l), viewer (v) and half vector
+    (h). `widening` is added to GGX's width for lights of some extent.
     """
     rough = surface.roughness
     alpha = jnp.minimum(rough * rough + widening, 1.0)
@@ -158,13 +136,9 @@ def reflectance(
 def environment_reflectance(surface: Surface, n_v: Array) -> tuple[Array, Array]:
     """How much of its surroundings' light a surface sends to the viewer.
 
-    Args:
-        surface: at P pixels.
-        n_v: cosine between normal and viewer, `[P]`, in (0, 1].
-
-    Returns:
-        Factors, `[3, P]` each: of the radiance's mean over the hemisphere, weighted by
-        the cosine, and of its mean over the lobe around the mirror direction.
+    Of the cosine `[P]`, in (0, 1], between normal and viewer: factors, `[3, P]` each,
+    of the radiance's mean over the hemisphere, weighted by the cosine, and of its mean
+    over the lobe around the mirror direction.
     """
     a, b = environment_brdf(n_v, surface.roughness)
     specular = (fresnel_f0(surface) * a + b) * specular_weight(surface)

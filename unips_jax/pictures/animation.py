@@ -17,14 +17,9 @@ _CODECS = ("vp09", "mp4v")
 def write_animation(path: Path, frames: Iterable[np.ndarray], *, fps: float) -> None:
     """Writes frames as they come; GIF and WebP repeat for ever.
 
-    Args:
-        path: where; the suffix, `.mp4`, `.gif` or `.webp`, chooses the format. MP4s
-            have even sides: a last black row or column is added where needed.
-        frames: `[H, W, 3]` each, uint8, at least one.
-        fps: frames per second.
-
-    Raises:
-        NotWritten: if no encoder takes the frames, or they cannot be written.
+    Frames are `[H, W, 3]`, uint8, at least one. The suffix, `.mp4`, `.gif` or `.webp`,
+    chooses the format. MP4s have even sides: a last black row or column is added where
+    needed. `NotWritten` if no encoder takes the frames, or they cannot be written.
     """
     if path.suffix.lower() == ".mp4":
         with new_path(path) as part:

@@ -39,10 +39,9 @@ def write_sheet(
     encoded: bool,
     truth: np.ndarray | None = None,
 ) -> None:
-    """Writes the sheet as an image file.
+    """Writes the sheet as an image file, whose suffix gives the format.
 
     Args:
-        file: where; the suffix gives the format.
         images: `[N, H, W, 3]`, RGB, uint8, uint16 or float32.
         normals: `[H, W, 3]`, unit length inside the mask.
         mask: `[H, W]`, bool.
@@ -88,10 +87,8 @@ def write_sheet(
 def shade(normals: np.ndarray, azimuth_deg: float) -> np.ndarray:
     """Lambertian shading of white material: max(n . l, 0), `[H, W]`.
 
-    Args:
-        normals: `[H, W, 3]`.
-        azimuth_deg: side of the light, 0 right, 90 above; it stands 40 degrees above
-            the image plane.
+    `azimuth_deg` is the light's side, 0 right, 90 above; it stands 40 degrees above the
+    image plane.
     """
     azimuth, elevation = np.deg2rad([azimuth_deg, _LIGHT_ELEVATION_DEG])
     light = np.array(

@@ -15,14 +15,9 @@ _MAPS = {"inferno": cv2.COLORMAP_INFERNO, "viridis": cv2.COLORMAP_VIRIDIS}
 
 
 def colours_of(share: np.ndarray, name: str = COLOURS) -> np.ndarray:
-    """Values as colours of one of matplotlib's maps, which OpenCV has as well.
+    """Values, 0 to 1 (clipped), as RGB in [0, 1], of "inferno" or "viridis".
 
-    Args:
-        share: any shape, 0 to 1; clipped.
-        name: "inferno" or "viridis".
-
-    Returns:
-        RGB in [0, 1], in a last axis more.
+    matplotlib's maps, which OpenCV has as well.
     """
     levels = np.arange(256, dtype=np.uint8)[:, None]
     table = cv2.applyColorMap(levels, _MAPS[name])[:, 0, ::-1] / 255
@@ -30,33 +25,18 @@ def colours_of(share: np.ndarray, name: str = COLOURS) -> np.ndarray:
 
 
 def normals_picture(normals: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(n + 1) / 2 as RGB: `[H, W, 3]`, uint8.
-
-    Args:
-        normals: `[H, W, 3]`, unit or zero.
-        mask: `[H, W]`, bool.
-    """
+    """(n + 1) / 2 as RGB: `[H, W, 3]`, uint8; black outside the mask."""
     finite = np.nan_to_num(normals, nan=0, posinf=0, neginf=0)
     return _on_white(np.clip((finite + 1) / 2, 0, 1), mask)
 
 
 def error_picture(errors: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Errors from black (0) to bright yellow (80 degrees and more), uint8.
-
-    Args:
-        errors: `[H, W]`, degrees.
-        mask: `[H, W]`, bool.
-    """
+    """Errors `[H, W]` from black (0) to bright yellow (80 degrees and more), uint8."""
     return _on_white(colours_of(errors / ERROR_LIMIT_DEG), mask)
 
 
 def photograph_picture(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """An image, exposed so that 1% of the object is white, as sRGB, uint8.
-
-    Args:
-        image: `[H, W, 3]`, linear, of any scale.
-        mask: `[H, W]`, bool.
-    """
+    """A linear image, exposed so that 1% of the object is white, as sRGB, uint8."""
     white = float(np.percentile(image[mask].max(axis=-1), 99))
     linear = np.clip(image / white if white > 0 else image, 0, 1)
     return _on_white(srgb_encode(linear), mask)

@@ -21,17 +21,7 @@ _TOP = 65535
 
 
 def read_depth(path: Path) -> np.ndarray:
-    """Reads `depth.exr`, whose channel Z images' readers do not know.
-
-    Args:
-        path: the file.
-
-    Returns:
-        `[H, W]`, float32, as stored.
-
-    Raises:
-        InputError: if it is no EXR, cannot be read or has no channel Z.
-    """
+    """Reads `depth.exr`: its channel Z as stored, `[H, W]`, float32."""
     import OpenEXR
 
     if not path.is_file() or path.read_bytes()[:4] != MAGIC:
@@ -51,16 +41,10 @@ def read_depth(path: Path) -> np.ndarray:
 
 
 def write_depth(folder: Path, depth: np.ndarray, *, unit: str) -> dict[str, Any]:
-    """Writes `depth.exr`, `depth.png` and `height.png`.
+    """Writes `depth.exr`, `depth.png` and `height.png` into a folder that exists.
 
-    Args:
-        folder: where; it exists.
-        depth: `[H, W]`, float32, NaN where there is no surface.
-        unit: of the depth, stated in the files.
-
-    Returns:
-        For the record: the unit, nearest and farthest depth, and what each level of
-        the PNGs means.
+    `depth` is `[H, W]`, float32, NaN where there is no surface. Returns for the record
+    the unit, nearest and farthest depth, and what each level of the PNGs means.
     """
     there = np.isfinite(depth)
     near = float(depth[there].min()) if there.any() else 0.0

@@ -40,28 +40,16 @@ _LEAST = 0.005  # of m: bounds what a noisy normal near 90 degrees asks for
 
 
 class Statements(NamedTuple):
-    """What each pixel states of the depth around it, all `[H, W]`.
+    """What each pixel states of the depth around it, all `[H, W]`."""
 
-    Attributes:
-        m: cosine-like factor of the differences, above 0.
-        right: m times the slope to the right.
-        down: m times the slope down the rows.
-        inside: whether the pixel has a depth.
-    """
-
-    m: jax.Array
-    right: jax.Array
-    down: jax.Array
-    inside: jax.Array
+    m: jax.Array  # cosine-like factor of the differences, above 0
+    right: jax.Array  # m times the slope to the right
+    down: jax.Array  # m times the slope down the rows
+    inside: jax.Array  # whether the pixel has a depth
 
 
 class Edges(NamedTuple):
-    """A number for each edge to the right and to the lower neighbour, `[H, W]` each.
-
-    Attributes:
-        right: of the edge between a pixel and its right neighbour.
-        down: of the edge between a pixel and the one below.
-    """
+    """A number for each edge to the right and to the lower neighbour, `[H, W]` each."""
 
     right: jax.Array
     down: jax.Array
@@ -73,14 +61,10 @@ def statements(
     focal: jax.Array | float | None,
     principal_point: tuple[jax.Array | float, jax.Array | float] | None,
 ) -> Statements:
-    """What normals state of the depth; harmless where there is none.
+    """What normals `[H, W, 3]` state of the depth; harmless where there is none.
 
-    Args:
-        normals: `[H, W, 3]`; lengths do not matter, but NaN and 0 are holes.
-        mask: `[H, W]`, bool.
-        focal: in pixels, None for an orthographic camera.
-        principal_point: column and row in pixels, (0, 0) the centre of the first
-            pixel; None for the middle of the image.
+    Their lengths do not matter, but NaN and 0 are holes. Camera as in
+    `integrate_normals`.
     """
     normals = normals.astype(jnp.float32)
     inside = mask & jnp.isfinite(normals).all(-1) & (jnp.abs(normals).max(-1) > 0)
@@ -122,13 +106,8 @@ def system(
 ) -> tuple[Edges, Edges]:
     """The weighted least squares around a depth.
 
-    Args:
-        stated: by the normals.
-        depth: `[H, W]`, decides the weights.
-        sharpness: k of the weights; 0 makes them equal.
-
-    Returns:
-        For each edge its stiffness and the difference it asks for; 0 outside.
+    The depth decides the weights, whose k is `sharpness`; 0 makes them equal. Returns
+    for each edge its stiffness and the difference it asks for; 0 outside.
     """
     linked, step = links(stated.inside), differences(depth)
     right = _axis(

@@ -57,17 +57,11 @@ _WHAT = {
 
 
 class Scale(NamedTuple):
-    """What depth means.
+    """What depth means."""
 
-    Attributes:
-        focal: in pixels; None for an orthographic camera.
-        pixel_size: side of a pixel in depth's unit; orthographic only.
-        unit: of the depth; m, cm and mm are known.
-    """
-
-    focal: float | None = None
-    pixel_size: float = 1.0
-    unit: str = "pixels"
+    focal: float | None = None  # in pixels; None for an orthographic camera
+    pixel_size: float = 1.0  # side of a pixel in depth's unit; orthographic only
+    unit: str = "pixels"  # of the depth; m, cm and mm are known
 
 
 _UNKNOWN = Scale()
@@ -84,19 +78,15 @@ def blender_model(
 ) -> tuple[bytes, dict[str, Any]]:
     """A `.glb` with normals, texture coordinates, base colour and normal map.
 
+    Returns its content, and for the record its size and number of triangles.
+
     Args:
-        depth: `[H, W]`, NaN where there is no surface.
+        depth: `[H, W]`, NaN where there is no surface, at least a triangle.
         normals: `[H, W, 3]`, unit or 0.
         scale: of the depth.
         name: of the object.
         colors: `[H, W, 3]`, uint8, sRGB.
         max_faces: of the grid, 100,000 if not given.
-
-    Returns:
-        The file's content, and for the record its size and number of triangles.
-
-    Raises:
-        InputError: if the surface has no triangle.
     """
     height, width = depth.shape
     most = max_faces or _FACES
@@ -132,15 +122,9 @@ def blender_model(
 def printable(
     depth: np.ndarray, scale: Scale = _UNKNOWN
 ) -> tuple[bytes, dict[str, Any]]:
-    """A watertight `.stl` on a base; arguments as of `blender_model`.
+    """A watertight `.stl` on a base; arguments and result as of `blender_model`.
 
     Of a surface in parts the largest is taken. Jumps of depth become walls.
-
-    Returns:
-        The file's content, and for the record its size and number of triangles.
-
-    Raises:
-        InputError: if the surface has no triangle.
     """
     import trimesh
 
@@ -166,12 +150,7 @@ def printable(
 
 
 def archive(name: str, files: list[Path]) -> bytes:
-    """A ZIP of files with the object's name in theirs, and a text on each.
-
-    Args:
-        name: of the object.
-        files: what goes into it.
-    """
+    """A ZIP of files with the object's name in theirs, and a text on each."""
     lines = [f"{name}: normals by unips_jax, and what follows from them.", ""]
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as packed:

@@ -18,40 +18,24 @@ _MATT = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
 
 
 class GltfMesh(NamedTuple):
-    """What is written; all but vertices and faces may be missing.
+    """What is written; all but vertices and faces may be missing."""
 
-    Attributes:
-        vertices: `[V, 3]`, metres, y up.
-        faces: `[F, 3]`, counter-clockwise from in front.
-        normals: `[V, 3]`, unit.
-        tangents: `[V, 4]`, unit, towards growing u; the last component is the
-            bitangent's sign.
-        places: `[V, 2]`, texture coordinates, (0, 0) at the picture's upper left.
-        colors: `[V, 3]`, linear, in [0, 1].
-        base_color: a PNG or JPEG, sRGB.
-        normal_map: a PNG, x right, y up, in the tangents' frame.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray | None = None
+    vertices: np.ndarray  # `[V, 3]`, metres, y up
+    faces: np.ndarray  # `[F, 3]`, counter-clockwise from in front
+    normals: np.ndarray | None = None  # `[V, 3]`, unit
+    # `[V, 4]`, unit, towards growing u; the last component is the bitangent's sign
     tangents: np.ndarray | None = None
+    # `[V, 2]`, texture coordinates, (0, 0) at the picture's upper left
     places: np.ndarray | None = None
-    colors: np.ndarray | None = None
-    base_color: bytes | None = None
-    normal_map: bytes | None = None
+    colors: np.ndarray | None = None  # `[V, 3]`, linear, in [0, 1]
+    base_color: bytes | None = None  # a PNG or JPEG, sRGB
+    normal_map: bytes | None = None  # a PNG, x right, y up, in the tangents' frame
 
 
 def encode_glb(
     mesh: GltfMesh, *, name: str = "surface", facts: dict[str, Any] | None = None
 ) -> bytes:
-    """The content of a `.glb` file.
-
-    Args:
-        mesh: what to write.
-        name: of the object.
-        facts: JSON values that the file states of itself ("extras").
-    """
+    """The content of a `.glb` file, whose "extras" are the facts, JSON values."""
     buffer = _Buffer()
     attributes = {"POSITION": buffer.add(mesh.vertices, bounds=True)}
     for key, values in (

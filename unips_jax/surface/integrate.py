@@ -25,12 +25,7 @@ from unips_jax.surface.multigrid import Springs, solve
 
 
 class Solve(NamedTuple):
-    """When a linear solve ends.
-
-    Attributes:
-        tolerance: of the residual, relative.
-        max_steps: of conjugate gradients.
-    """
+    """When a linear solve ends: the residual's tolerance, relative, and most steps."""
 
     tolerance: float
     max_steps: int
@@ -43,12 +38,7 @@ _FAINT = 1e-5  # stiffness added to every edge of the matrix, not of the equatio
 
 
 class Prior(NamedTuple):
-    """A known depth, in the unknown of the equations; both `[H, W]`.
-
-    Attributes:
-        depth: 0 where unknown.
-        weight: 0 where unknown.
-    """
+    """A known depth, in the equations' unknown; both `[H, W]`, 0 where unknown."""
 
     depth: jax.Array
     weight: jax.Array
@@ -133,16 +123,9 @@ def read_prior(
     inside: jax.Array,
     focal: jax.Array | float | None,
 ) -> tuple[Prior, jax.Array]:
-    """Brings a prior to the unknown of the equations, shifted to mean 0.
+    """Brings a prior `[H, W]`, NaN where unknown, to the equations' unknown.
 
-    Args:
-        prior: `[H, W]`, NaN where unknown; None for none.
-        weight: of the prior, a number or `[H, W]`.
-        inside: `[H, W]`, bool.
-        focal: in pixels, None if orthographic.
-
-    Returns:
-        The prior and its mean before the shift.
+    Returns it, shifted to mean 0, and its mean before the shift.
     """
     if prior is None:
         nothing = jnp.zeros(inside.shape, jnp.float32)
@@ -166,12 +149,7 @@ def reweight(
 ) -> jax.Array:
     """One round: weights from the depth, then the depth that is best for them.
 
-    Args:
-        stated: by the normals.
-        prior: weight 0 where there is none.
-        depth: `[H, W]`, in the unknown of the equations.
-        sharpness: of the weights, 0 for equal ones.
-        until: when the linear solve ends.
+    `depth` is in the unknown of the equations; `sharpness` 0 makes weights equal.
     """
     stiffness, asked = system(stated, depth, sharpness)
     faint = Edges(
@@ -198,18 +176,9 @@ def finish(
     labels: jax.Array,
     focal: jax.Array | float | None,
 ) -> jax.Array:
-    """Sets each island's offset and turns the unknown into depth.
+    """Sets each island's offset and turns the unknown into depth, 0 outside.
 
-    Args:
-        depth: `[H, W]`, the unknown.
-        inside: `[H, W]`, bool.
-        prior: islands where its weight is 0 have mean 0.
-        shift: added.
-        labels: `[H, W]`, of the islands.
-        focal: in pixels, None if orthographic.
-
-    Returns:
-        `[H, W]`, 0 outside.
+    Islands where the prior's weight is 0 have mean 0; `shift` is added.
     """
     mean, _ = island_means(depth, inside.astype(depth.dtype), labels)
     _, held = island_means(depth, prior.weight, labels)

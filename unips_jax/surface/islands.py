@@ -13,20 +13,12 @@ from unips_jax.surface.equations import (
 
 
 def label_islands(inside: jax.Array) -> jax.Array:
-    """Numbers the parts that are connected by edges (not corners).
+    """Numbers the parts of a mask `[H, W]` that are connected by edges (not corners).
 
     Every pixel points to a smaller one of its part; pointers are shortened and roots
-    tied together until nothing changes, in about log(H W) rounds.
-
-    Args:
-        inside: `[H, W]`, bool.
-
-    Returns:
-        `[H, W]`, int32: the flat index of each part's first pixel; outside, the
-        pixel's own.
-
-    Source: Y. Shiloach, U. Vishkin, "An O(log n) parallel connectivity algorithm"
-    (1982).
+    tied together until nothing changes, in about log(H W) rounds. Returns int32: the
+    flat index of each part's first pixel; outside, the pixel's own. Source: Y.
+    Shiloach, U. Vishkin, "An O(log n) parallel connectivity algorithm" (1982).
     """
     shape, last = inside.shape, jnp.int32(inside.size)
     linked = links(inside)
@@ -57,13 +49,8 @@ def island_means(
 ) -> tuple[jax.Array, jax.Array]:
     """The weighted mean of each island, at each of its pixels, `[H, W]`.
 
-    Args:
-        values: `[H, W]`.
-        weights: `[H, W]`, 0 or more.
-        labels: `[H, W]`, int, from 0 to H W - 1.
-
-    Returns:
-        The mean (0 where the weights are) and the sum of weights.
+    Weights and their labels, from 0 to H W - 1, are `[H, W]` too. Returns the mean (0
+    where the weights are) and the sum of weights.
     """
     flat, size = labels.ravel(), labels.size
     total = jax.ops.segment_sum((values * weights).ravel(), flat, size)

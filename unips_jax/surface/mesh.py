@@ -22,17 +22,12 @@ METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
 
 class Mesh(NamedTuple):
-    """A triangle mesh.
+    """A triangle mesh."""
 
-    Attributes:
-        vertices: `[V, 3]`, float32.
-        faces: `[F, 3]`, int32: the corners' vertices, counter-clockwise from in front.
-        pixels: `[V]`, the vertices' pixels: row times width plus column.
-    """
-
-    vertices: np.ndarray
+    vertices: np.ndarray  # `[V, 3]`, float32
+    # `[F, 3]`, int32: the corners' vertices, counter-clockwise from in front
     faces: np.ndarray
-    pixels: np.ndarray
+    pixels: np.ndarray  # `[V]`, the vertices' pixels: row times width plus column
 
 
 def mesh_of_depth(
@@ -45,6 +40,8 @@ def mesh_of_depth(
 ) -> Mesh:
     """Joins neighbouring pixels' surface points by triangles.
 
+    Pixels without a triangle have no vertex.
+
     Args:
         depth: `[H, W]`, NaN where there is no surface, growing away from the viewer.
         focal: in pixels; None for an orthographic camera.
@@ -52,12 +49,6 @@ def mesh_of_depth(
         pixel_size: side of a pixel in depth's unit; orthographic only.
         cut: triangles whose depth ranges over more than this many pixels (at their
             distance) are left out: jumps are not bridged. None keeps all.
-
-    Returns:
-        The mesh; pixels without a triangle have no vertex.
-
-    Raises:
-        ValueError: if `depth` is not an image or `pixel_size` or `cut` is not above 0.
     """
     if depth.ndim != 2:
         raise ValueError(f"depth: expected [H, W], got {depth.shape}")
@@ -85,7 +76,7 @@ def write_mesh(
     max_faces: int | None = None,
     unit: str = "pixels",
 ) -> int:
-    """Writes a mesh.
+    """Writes a mesh of at least a triangle; returns their number.
 
     Args:
         path: ends in `.ply`, `.obj` or `.glb`. GLB is in metres where the unit is m,
@@ -95,12 +86,6 @@ def write_mesh(
         colors: `[H, W, 3]`, uint8, sRGB, of the image: colours of the vertices.
         max_faces: simplified to this many triangles, if it has more (quadric error).
         unit: of the vertices, stated in the file.
-
-    Returns:
-        The number of triangles written.
-
-    Raises:
-        InputError: if the suffix is another or the mesh has no triangle.
     """
     import trimesh
 
@@ -137,14 +122,7 @@ def write_mesh(
 
 
 def check_mesh_file(path: Path) -> None:
-    """Refuses what `write_mesh` could not write, before there is a mesh.
-
-    Args:
-        path: of the mesh.
-
-    Raises:
-        InputError: if the suffix is another.
-    """
+    """Refuses suffixes that `write_mesh` does not write, before there is a mesh."""
     if path.suffix not in SUFFIXES:
         raise InputError(
             f"{path}: expected a mesh ending in {', '.join(SUFFIXES)}, got "

@@ -34,24 +34,14 @@ _COARSEST = 4  # pixels on a side
 
 
 class Springs(NamedTuple):
-    """The matrix A, symmetric and positive semidefinite.
+    """The matrix A, symmetric and positive semidefinite."""
 
-    Attributes:
-        stiffness: of each edge, 0 or more, 0 where there is none.
-        pull: `[H, W]`, 0 or more, added to the diagonal.
-    """
-
-    stiffness: Edges
-    pull: jax.Array
+    stiffness: Edges  # of each edge, 0 or more, 0 where there is none
+    pull: jax.Array  # `[H, W]`, 0 or more, added to the diagonal
 
 
 def multiply(springs: Springs, x: jax.Array) -> jax.Array:
-    """A x, `[H, W]`.
-
-    Args:
-        springs: the matrix.
-        x: `[H, W]`.
-    """
+    """A x, `[H, W]`."""
     step = differences(x)
     flow = Edges(
         springs.stiffness.right * step.right, springs.stiffness.down * step.down
@@ -64,15 +54,9 @@ def solve(
 ) -> jax.Array:
     """Solves A x = b; differentiable in the matrix and in b, by the implicit function.
 
-    Args:
-        springs: the matrix. It may be singular, if b sums to 0 over each connected
-            part without pull.
-        b: `[H, W]`.
-        tolerance: of the residual, relative to b in the Euclidean norm.
-        max_steps: bound on the number of conjugate gradient steps.
-
-    Returns:
-        x, `[H, W]`.
+    The matrix may be singular, if b sums to 0 over each connected part without pull.
+    `tolerance` is of the residual, relative to b in the Euclidean norm; `max_steps`
+    bounds the conjugate gradients.
     """
     fixed = jax.lax.stop_gradient(springs)
 
@@ -89,11 +73,7 @@ def solve(
 def conjugate_gradients(
     springs: Springs, b: jax.Array, *, tolerance: float, max_steps: int
 ) -> tuple[jax.Array, jax.Array]:
-    """As `solve`, without derivatives.
-
-    Returns:
-        x, `[H, W]`, and the number of steps taken.
-    """
+    """As `solve`, without derivatives: x, and the number of steps taken."""
     levels = _levels(springs)
     goal = (tolerance**2) * jnp.vdot(b, b)
 

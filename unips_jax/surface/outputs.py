@@ -20,10 +20,8 @@ MeshFormat = Literal["ply", "obj", "glb"]
 def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float | None:
     """The focal length that `--focal` asks for, in pixels; None if orthographic.
 
-    Args:
-        asked: a number, "exif", or None.
-        exif: by the photograph's EXIF data, None if it is not in them.
-        file: the photograph, if there is one.
+    `asked` is a number, "exif", or None; `exif` None where the photograph `file` has
+    none.
     """
     if asked is None:
         return None
@@ -50,10 +48,7 @@ def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float 
 def photograph_colors(pixels: np.ndarray, transfer: Transfer) -> np.ndarray:
     """A photograph as colours of a mesh: `[H, W, 3]`, uint8, sRGB.
 
-    Args:
-        pixels: `[H, W, 1 or 3]`, uint8, uint16 or float32. Linear ones are scaled so
-            that their brightest half a percent is white.
-        transfer: how they encode light.
+    Linear ones are scaled so that their brightest half a percent is white.
     """
     linear = as_linear(pixels, transfer)
     if transfer == "linear":
@@ -63,12 +58,7 @@ def photograph_colors(pixels: np.ndarray, transfer: Transfer) -> np.ndarray:
 
 
 def mean_colors(images: np.ndarray, transfer: Transfer) -> np.ndarray:
-    """`photograph_colors` of the photographs' mean.
-
-    Args:
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        transfer: how they encode light.
-    """
+    """`photograph_colors` of the photographs' mean."""
     mean = np.zeros(images.shape[1:], np.float32)
     for image in images:
         mean += as_float(image) / len(images)
@@ -87,29 +77,19 @@ def print_surface(facts: dict[str, Any]) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceOptions:
-    """How normals become a surface, and which files it becomes.
+    """How normals become a surface, and which files it becomes."""
 
-    Attributes:
-        focal: in pixels; None for an orthographic camera.
-        prior_weight: see `integrate_image`.
-        sharpness: see `integrate_image`.
-        scale: what one unit of `integrate_image`'s depth is in the files' unit: of a
-            pixel's side (orthographic), of each island's mean distance (perspective),
-            of the prior's unit (perspective with a prior).
-        unit: of the files; by default what scale 1 means, in words.
-        mesh: format, if there is to be one.
-        max_faces: see `write_mesh`.
-        cut: see `mesh_of_depth`.
-    """
-
-    focal: float | None = None
-    prior_weight: float = 1e-4
-    sharpness: float = 2.0
+    focal: float | None = None  # in pixels; None for an orthographic camera
+    prior_weight: float = 1e-4  # see `integrate_image`
+    sharpness: float = 2.0  # see `integrate_image`
+    # what one unit of `integrate_image`'s depth is in the files' unit: of a pixel's
+    # side (orthographic), of each island's mean distance (perspective), of the prior's
+    # unit (perspective with a prior)
     scale: float = 1.0
-    unit: str | None = None
-    mesh: MeshFormat | None = None
-    max_faces: int | None = None
-    cut: float = CUT
+    unit: str | None = None  # of the files; by default what scale 1 means, in words
+    mesh: MeshFormat | None = None  # format, if there is to be one
+    max_faces: int | None = None  # see `write_mesh`
+    cut: float = CUT  # see `mesh_of_depth`
 
 
 def write_surface(
@@ -124,21 +104,14 @@ def write_surface(
 ) -> dict[str, Any]:
     """Integrates normals and writes depth, height and, on request, a mesh.
 
+    Returns for the record camera, islands, rounds, unit and scale, the meaning of
+    levels. `InputError` if no pixel has a normal, or the mesh cannot be written.
+
     Args:
         folder: where; it exists.
-        normals: `[H, W, 3]`, as for `integrate_image`.
-        mask: see there.
-        options: how, and which files.
-        prior: see `integrate_image`.
+        normals: `[H, W, 3]`, as mask and prior for `integrate_image`.
         colors: `[H, W, 3]`, uint8 or uint16, sRGB: the mesh's colours.
         progress: called with the fraction of the integration done.
-
-    Returns:
-        For the record: camera, islands, rounds, unit and scale, the meaning of levels.
-
-    Raises:
-        InputError: if there is no pixel with a normal, or the mesh cannot be written.
-        ValueError: if arguments do not fit.
     """
     from unips_jax.surface.images import integrate_image
 

@@ -59,13 +59,10 @@ _SYSTEM_ERROR = re.compile(r"os_error_code='(\d+)'")
 
 
 def changed_fields(saved: dict[str, Any], config: Config) -> dict[str, Any]:
-    """What makes a run another one than that which was saved.
+    """What makes a run another one than that which was saved: saved and given values.
 
     Fields that `saved`, a `Config` as read from JSON, lacks came with a later version:
     they had their defaults. Fields that only it knows are gone and do not count.
-
-    Returns:
-        By field, what was saved and what is given.
     """
     changed = {}
     for part, free in _FREE.items():
@@ -88,10 +85,7 @@ class Checkpoints:
         """Opens a run's folder, made if absent; no other run may be in it.
 
         Damaged checkpoints newer than the newest intact one are set aside, as
-        `checkpoints/N.damaged`, with a line for each.
-
-        Raises:
-            InputError: if there are checkpoints and all are damaged.
+        `checkpoints/N.damaged`, with a line for each; `InputError` if all are damaged.
         """
         self._config = config
         self._path = workdir / "checkpoints"
@@ -146,10 +140,8 @@ class Checkpoints:
     def save(self, step: int, state: Any, record: dict[str, Any]) -> None:
         """Starts to write a checkpoint; training goes on meanwhile.
 
-        `record` is what else must survive, anything JSON can hold.
-
-        Raises:
-            InputError: if the one before could not be written, as on a full disk.
+        `record` is what else must survive, anything JSON can hold. `InputError` if the
+        one before could not be written, as on a full disk.
         """
         self._wait()
         at_once = ocp.Context()  # a folder that cannot be made then fails at once
@@ -169,10 +161,8 @@ class Checkpoints:
         """Reads the newest intact checkpoint: the state and the record.
 
         `abstract_state` has the shapes, types and shardings to read it into.
-
-        Raises:
-            InputError: if it was written by a run that differs in more than its
-                length, rhythm, place of the data or memory.
+        `InputError` if the run that wrote it differs in more than its length, rhythm,
+        place of the data or memory.
         """
         folder = self._path.resolve() / str(self._latest)
         metadata = ocp.checkpointables_metadata(folder).custom_metadata

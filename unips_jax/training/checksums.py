@@ -9,12 +9,7 @@ _NAME = "SHA256SUMS"
 
 
 def write_checksums(folder: Path) -> None:
-    """Lists the checksums of a folder's files in `SHA256SUMS`, whole or not at all.
-
-    Raises:
-        InputError: if it cannot be written.
-        OSError: if a file cannot be read.
-    """
+    """Lists the checksums of a folder's files in `SHA256SUMS`, whole or not at all."""
     lines = [f"{digest}  {name}\n" for name, digest in _checksums(folder).items()]
     write_whole(folder / _NAME, "".join(lines).encode())
 

@@ -20,14 +20,8 @@ def compile_together(
     """The jitted step; no process runs it before all have compiled it.
 
     Processes do not compile equally fast, and collectives between them give up after
-    half a minute on CPU.
-
-    Args:
-        step: what `jax.jit` gave.
-        compiling: entered, with what it is, for every compilation.
-
-    Returns:
-        A function like `step` that compiles once for every shape of batch.
+    half a minute on CPU. `compiling` is entered, with what it is, for every
+    compilation: one for every shape of batch.
     """
     wait = multihost.get_barrier_sync_fn()
     compiled: dict[str, Step] = {}

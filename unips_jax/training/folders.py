@@ -33,6 +33,9 @@ def folder_batches(
 ) -> Iterator[dict[str, np.ndarray]]:
     """Endless batches of PS-Wild objects, shuffled anew every epoch.
 
+    Yields `images [B, N, size, size, 3]`, `mask [B, size, size]` and `normals [B, size,
+    size, 3]`, B being this process' share of the batch.
+
     Args:
         root: see `PSWildFolders`.
         size: side of the images.
@@ -42,13 +45,6 @@ def folder_batches(
         first: batches to skip.
         process: this process' number and how many share a batch.
         workers: reading processes; 0 reads in threads of this one.
-
-    Returns:
-        `images [B, N, size, size, 3]`, `mask [B, size, size]`,
-        `normals [B, size, size, 3]`, B being this process' share of the batch.
-
-    Raises:
-        InputError: if the folders do not fit.
     """
     source = PSWildFolders(Path(root), min_images=max(num_images))
 

@@ -14,10 +14,8 @@ def light_losses(guess: LightGuess, true: IncidentLight) -> dict[str, Array]:
     """Mean losses over the images whose light is known, each about 1 for bad guesses.
 
     Of arrays `[B, N, ...]`. Directions and distance count by the lamp's share.
-
-    Returns:
-        "harmonics": the distance of the coefficients, relative to the first one's mean
-        colour; "lamps": of shares, directions and nearness, of both kinds of lamp.
+    "harmonics" is the distance of the coefficients, relative to the first one's mean
+    colour; "lamps" that of shares, directions and nearness, of both kinds of lamp.
     """
     power = jnp.mean(true.harmonics[..., 0, :], axis=-1)[..., None, None]
     relative = true.harmonics / jnp.maximum(power, 1e-6)

@@ -40,13 +40,9 @@ class TrainLog:
     ) -> None:
         """Opens the log; lines of steps after `first` are dropped, they come again.
 
-        Args:
-            workdir: of the run.
-            first: steps already done.
-            steps: length of the run.
-            every: steps between two lines of metrics, each of their means.
-            pending: metrics of the steps before `first` that no line holds yet.
-            sink: also takes metrics and pictures; TensorBoard does where installed.
+        Lines of metrics are means of `every` steps; `pending` are those before `first`
+        that no line holds yet. `sink` also takes metrics and pictures, as TensorBoard
+        does where it is installed.
         """
         self._active = jax.process_index() == 0
         self._path = workdir / "metrics.jsonl"
@@ -98,11 +94,7 @@ class TrainLog:
         return jax.tree.map(float, self._pending)
 
     def record(self, step: int, values: Mapping[str, Any]) -> None:
-        """Writes numbers to `metrics.jsonl` and the sinks.
-
-        Raises:
-            InputError: if the file cannot be written, as on a full disk.
-        """
+        """Writes numbers to `metrics.jsonl` and the sinks."""
         if not self._active:
             return
         numbers = {name: float(value) for name, value in values.items()}

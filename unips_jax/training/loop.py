@@ -70,16 +70,9 @@ def train(
     """Trains, from nothing or from the newest checkpoint in `workdir`.
 
     Writes `checkpoints/`, `metrics.jsonl`, `best.safetensors` at every validation that
-    improves, and `last.safetensors` at the end.
-
-    Args:
-        config: of the run.
-        workdir: its folder.
-        init_weights: weights to start a new run from.
-        sink: also takes metrics and pictures.
-
-    Returns:
-        The state after the last step, or at SIGTERM to any of the processes.
+    improves, and `last.safetensors` at the end. A new run starts from `init_weights`,
+    where they are given. Returns the state after the last step, or at SIGTERM to any of
+    the processes.
 
     Raises:
         InputError: if the folder holds a run with another configuration (other than

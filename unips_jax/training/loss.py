@@ -46,51 +46,36 @@ from unips_jax.training.pixels import (
 
 
 class Objects(NamedTuple):
-    """B objects to train on.
+    """B objects to train on."""
 
-    Attributes:
-        images: `[B, N, H, W, 3]`, linear, of any scale.
-        mask: `[B, H, W]`, bool.
-        normals: `[B, H, W, 3]`, unit length inside the mask.
-        lights: `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown.
-        incident: arrays `[B, N, ...]`; None: unknown.
-    """
-
-    images: Array
-    mask: Array
-    normals: Array
+    images: Array  # `[B, N, H, W, 3]`, linear, of any scale
+    mask: Array  # `[B, H, W]`, bool
+    normals: Array  # `[B, H, W, 3]`, unit length inside the mask
+    # `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown
     lights: Array | None = None
-    incident: IncidentLight | None = None
+    incident: IncidentLight | None = None  # arrays `[B, N, ...]`; None: unknown
 
 
 @dataclasses.dataclass(frozen=True)
 class LossOptions:
-    """What the loss compares, and how.
+    """What the loss compares, and how."""
 
-    Attributes:
-        num_pixels: full-resolution pixels to draw of each object.
-        frame: what the encoder's square surrounds, the "mask" or the whole "image".
-        grid_loss: include the sampling at the contexts' grid.
-        squared_loss: the distances of the normals are squared, as in the paper.
-        coarse_guess_weight: of the guess of coarse normals; the normals have 1.
-        lights_guess_weight: of the guess of the lights.
-        kinds_guess_weight: of the guesses of the kinds of light.
-        pixel_blocks: pixels are drawn in blocks of 2 x 2; not with `grid_loss`.
-        steepness_weight: pixels count by the exponential of this times how much the
-            true normals change within their block; 0: all the same.
-        differences_weight: of the differences between the pixels of a block.
-    """
-
-    num_pixels: int
+    num_pixels: int  # full-resolution pixels to draw of each object
+    # what the encoder's square surrounds, the "mask" or the whole "image"
     frame: FrameKind = "image"
-    grid_loss: bool = True
+    grid_loss: bool = True  # include the sampling at the contexts' grid
+    # the distances of the normals are squared, as in the paper
     squared_loss: bool = True
+    # of the guess of coarse normals; the normals have 1
     coarse_guess_weight: float = 0.5
-    lights_guess_weight: float = 0.25
-    kinds_guess_weight: float = 0.1
+    lights_guess_weight: float = 0.25  # of the guess of the lights
+    kinds_guess_weight: float = 0.1  # of the guesses of the kinds of light
+    # pixels are drawn in blocks of 2 x 2; not with `grid_loss`
     pixel_blocks: bool = False
+    # pixels count by the exponential of this times how much the true normals change
+    # within their block; 0: all the same
     steepness_weight: float = 0.0
-    differences_weight: float = 0.0
+    differences_weight: float = 0.0  # of the differences between the pixels of a block
 
 
 def squared_distance(predicted: Array, true: Array) -> Array:

@@ -13,24 +13,16 @@ _FROM, _TO = np.array([0, 2, 0, 1]), np.array([1, 3, 2, 3])
 
 
 class DrawnPixels(NamedTuple):
-    """Pixels of an object.
+    """Pixels of an object."""
 
-    Attributes:
-        places: `[P]`, into the flattened image; of 2 x 2 blocks, four in a row.
-        inside: `[P]`, which of them are on the mask.
-    """
-
-    places: Array
-    inside: Array
+    places: Array  # `[P]`, into the flattened image; of 2 x 2 blocks, four in a row
+    inside: Array  # `[P]`, which of them are on the mask
 
 
 def draw_pixels(mask: Array, count: int, key: Array) -> DrawnPixels:
-    """Draws masked pixels uniformly, without replacement.
+    """Draws `count` pixels of a mask `[H, W]` uniformly, without replacement.
 
-    Args:
-        mask: `[H, W]`, bool.
-        count: how many; some are outside where the mask is smaller.
-        key: for the draw.
+    Some are outside where the mask is smaller.
     """
     flat = mask.reshape(-1)
     order = jnp.where(flat, jax.random.uniform(key, flat.shape), -1)
@@ -39,12 +31,9 @@ def draw_pixels(mask: Array, count: int, key: Array) -> DrawnPixels:
 
 
 def draw_blocks(mask: Array, count: int, key: Array) -> DrawnPixels:
-    """Draws blocks of 2 x 2 pixels that reach into the mask.
+    """Draws blocks of 2 x 2 pixels that reach into a mask `[H, W]`, H and W even.
 
-    Args:
-        mask: `[H, W]`, bool; H and W even.
-        count: how many pixels, rounded down to whole blocks, at least one.
-        key: for the draw.
+    `count` pixels, rounded down to whole blocks, at least one.
     """
     height, width = mask.shape
     cells = mask.reshape(height // 2, 2, width // 2, 2)
@@ -59,12 +48,8 @@ def draw_blocks(mask: Array, count: int, key: Array) -> DrawnPixels:
 def steepness(normals: Array, inside: Array) -> Array:
     """How much normals change within each block: the mean distance of its neighbours.
 
-    Args:
-        normals: `[P, 3]`, of blocks, true.
-        inside: `[P]`.
-
-    Returns:
-        `[P]`, in [0, 2], the same for all four pixels of a block.
+    Of the true normals `[P, 3]` of blocks: `[P]`, in [0, 2], the same for all four
+    pixels of a block.
     """
     blocks, change = inside.reshape(-1, BLOCK), _changes(normals)
     pairs = blocks[:, _FROM] & blocks[:, _TO]
@@ -78,14 +63,9 @@ def neighbour_distances(
 ) -> tuple[Array, Array]:
     """How differently normals change from pixel to pixel than the true ones, squared.
 
-    Args:
-        predicted: `[P, ..., 3]`, of blocks.
-        true: `[P, ..., 3]`.
-        weights: `[P, ...]`, 0 outside the mask.
-
-    Returns:
-        `[P / 4, 4, ...]` squared distances, one for each pair of neighbours, and their
-        weights, of one block as large as its pixels' together.
+    Of normals `[P, ..., 3]` of blocks, weights `[P, ...]` 0 outside the mask. Returns
+    `[P / 4, 4, ...]` squared distances, one for each pair of neighbours, and their
+    weights, of one block as large as its pixels' together.
     """
     error = _changes(predicted) - _changes(true)
     weights = weights.reshape(-1, BLOCK, *weights.shape[1:])

@@ -21,11 +21,7 @@ from unips_jax.training.step import Batch
 
 
 def check_input(config: Config, mesh: Mesh) -> None:
-    """Checks that there is data, and that the devices can share it.
-
-    Raises:
-        InputError: naming the option, what was expected, what came and the fix.
-    """
+    """Checks that there is data, and that the devices can share it."""
     data = config.data
     if data.batch_size % mesh.size:
         raise InputError(
@@ -42,11 +38,7 @@ def check_input(config: Config, mesh: Mesh) -> None:
 
 @contextlib.contextmanager
 def alone_in(workdir: Path) -> Iterator[None]:
-    """Keeps other runs out of a folder until the block ends.
-
-    Raises:
-        InputError: if one is in it.
-    """
+    """Keeps other runs out of a folder until the block ends."""
     if jax.process_index() > 0:
         yield
         return
@@ -83,11 +75,7 @@ def any_process(flag: bool) -> bool:
 def check_finite(
     step: int, batch: Batch, metrics: dict[str, jax.Array], workdir: Path
 ) -> None:
-    """Saves the batch and ends the run if the step went wrong.
-
-    Raises:
-        FloatingPointError: if loss or gradient are not finite.
-    """
+    """Saves the batch and raises FloatingPointError if the step was not finite."""
     loss = float(metrics["loss"])
     if np.isfinite(loss) and np.isfinite(float(metrics["grad_norm"])):
         return

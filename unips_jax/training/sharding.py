@@ -19,11 +19,7 @@ _MIN_SPLIT = 2**14
 
 
 def make_mesh(config: MeshConfig) -> Mesh:
-    """A mesh with the axes "data" and "fsdp".
-
-    Raises:
-        InputError: if there are fewer devices.
-    """
+    """A mesh with the axes "data" and "fsdp"."""
     devices = jax.device_count()
     data = config.data or devices // config.fsdp
     if data * config.fsdp > devices or data == 0:

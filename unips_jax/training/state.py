@@ -13,19 +13,12 @@ from unips_jax.training.optimizer import make_optimizer
 
 
 class TrainState(NamedTuple):
-    """The state of a training run.
+    """The state of a training run."""
 
-    Attributes:
-        step: steps done, int32.
-        params: the network's parameters, float32.
-        opt_state: of the optimiser.
-        ema_params: averaged parameters; None without averaging.
-    """
-
-    step: Array
-    params: Any
+    step: Array  # steps done, int32
+    params: Any  # the network's parameters, float32
     opt_state: Any
-    ema_params: Any
+    ema_params: Any  # averaged parameters; None without averaging
 
     def released_params(self) -> Any:
         """The parameters to validate and release."""

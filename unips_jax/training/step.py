@@ -20,17 +20,10 @@ Batch = dict[str, Any]  # arrays; see `Objects`
 def augment(scene: Objects, key: Array) -> Objects:
     """The paper's four augmentations of one object, each with probability one half.
 
-    Args:
-        scene: one object, without a leading axis; its images are square. Its incident
-            light is left out: it is not turned.
-        key: for the draws.
-
-    Returns:
-        The same, flipped left-right (n_x negated), up-down (n_y negated), transposed
-        (n becomes (-n_y, -n_x, n_z)), the lights with the normals, and with the colours
-        of each image permuted.
-
-    Source: UniPS (Ikehata, CVPR 2022), supplement.
+    Flipped left-right (n_x negated), up-down (n_y negated), transposed (n becomes
+    (-n_y, -n_x, n_z)), the lights with the normals; and the colours of each image
+    permuted. Images are square and without a leading axis of objects; incident light is
+    left out: it is not turned. Source: UniPS (Ikehata, CVPR 2022), supplement.
     """
     flip_key, colour_key, order_key = jax.random.split(key, 3)
     horizontal, vertical, transpose = jax.random.bernoulli(flip_key, 0.5, (3,))
@@ -73,17 +66,11 @@ def augment(scene: Objects, key: Array) -> Objects:
 def batch_loss(
     params: Any, batch: Batch, key: Array, *, config: Config
 ) -> tuple[Array, dict[str, Array]]:
-    """Mean loss over a batch of objects.
+    """Mean loss over a batch of objects, and the mean of their metrics.
 
-    Args:
-        params: the network's parameters.
-        batch: `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and
-            `lights [B, N, 3]` and `incident` where they are known.
-        key: for augmentation, pixels and dropout.
-        config: of the run.
-
-    Returns:
-        The loss and the mean of the objects' metrics.
+    `batch` has `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and
+    `lights [B, N, 3]` and `incident` where they are known; `key` is for augmentation,
+    pixels and dropout.
     """
     data, train = config.data, config.train
     objects = Objects(**batch)
@@ -112,11 +99,9 @@ def train_step(
 ) -> tuple[TrainState, dict[str, Array]]:
     """Advances training by one step; pure.
 
-    `key` is the run's; the step's own follows from it and `state.step`.
-
-    Returns:
-        The state after it, and metrics: loss, mae_deg, grad_norm, and untrained, the
-        share of the parameters whose output has no gradient.
+    `key` is the run's; the step's own follows from it and `state.step`. Returns the
+    state after it, and metrics: loss, mae_deg, grad_norm, and untrained, the share of
+    the parameters whose output has no gradient.
     """
     key = jax.random.fold_in(key, state.step)
     gradient = jax.value_and_grad(

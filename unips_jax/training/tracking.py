@@ -28,11 +28,7 @@ class TensorBoard:
     """Event files in `workdir/tensorboard`."""
 
     def __init__(self, workdir: Path, first: int) -> None:
-        """Opens the files; events of steps after `first` are dropped.
-
-        Raises:
-            ImportError: if tensorboardX is not installed.
-        """
+        """Opens the files, if tensorboardX is installed; later events are dropped."""
         from tensorboardX import SummaryWriter
 
         self._writer: Any = SummaryWriter(

@@ -89,6 +89,9 @@ def validate(
 ) -> dict[str, float]:
     """Scores a network on held-out scenes.
 
+    Returns mean angular errors in degrees: "mae" over all scenes, "constant" for a
+    normal towards the viewer, and one per group, such as "light/directional".
+
     Args:
         network: what is scored.
         scenes: the distribution of scenes.
@@ -97,10 +100,6 @@ def validate(
         size: side of the images in pixels.
         description: shown with the progress.
         **scene_options: passed to `render_scene`, such as `light_kind`.
-
-    Returns:
-        Mean angular errors in degrees: "mae" over all scenes, "constant" for a normal
-        towards the viewer, and one per group, such as "light/directional".
     """
     errors: dict[str, list[float]] = {}
     held_out = estimate_held_out(
