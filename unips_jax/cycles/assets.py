@@ -39,33 +39,21 @@ _MAPS = {
 
 
 class Job(NamedTuple):
-    """One object of a set.
+    """One object of a set."""
 
-    Attributes:
-        name: of its folders.
-        seed: draws everything of it that is not named here.
-        shape: what Blender's `shapes.build` takes.
-        material: what Blender's `materials.build` takes.
-        facts: names for `meta.json`: shape, material, category if there is one.
-        facing: whether only its front is of interest (a relief).
-        lightings: which lightings it is to have; None for all.
-    """
-
-    name: str
-    seed: tuple[int, ...]
-    shape: dict[str, Any]
-    material: dict[str, Any]
+    name: str  # of its folders
+    seed: tuple[int, ...]  # draws everything of it that is not named here
+    shape: dict[str, Any]  # what Blender's `shapes.build` takes
+    material: dict[str, Any]  # what Blender's `materials.build` takes
+    # names for `meta.json`: shape, material, category if there is one
     facts: dict[str, str]
-    facing: bool = False
+    facing: bool = False  # whether only its front is of interest (a relief)
+    # which lightings it is to have; None for all
     lightings: tuple[str, ...] | None = None
 
 
 def find_files(folder: Path, suffixes: frozenset[str], option: str) -> list[Path]:
-    """Files below a folder, sorted.
-
-    Raises:
-        InputError: if there are none.
-    """
+    """Files below a folder, at least one, sorted."""
     below = glob.iglob("**/*", root_dir=folder, recursive=True)  # through links
     files = (folder / name for name in below)
     found = sorted(p for p in files if p.suffix.lower() in suffixes and p.is_file())
@@ -80,13 +68,9 @@ def find_files(folder: Path, suffixes: frozenset[str], option: str) -> list[Path
 def find_materials(folder: Path) -> dict[str, dict[str, Any]]:
     """Texture sets: a folder each, at any depth; files' names end as their maps do.
 
-    Returns:
-        By the path below `folder`, what Blender's `materials.build` takes. The category
-        is that of the six whose name is part of this path, else of the folder's own
-        name, or "". Sets without a base colour are left out.
-
-    Raises:
-        InputError: if there are none.
+    Returns by the path below `folder` what Blender's `materials.build` takes. The
+    category is that of the six whose name is part of this path, else of the folder's
+    own name, or "". Sets without a base colour are left out.
     """
     found: dict[str, dict[str, Any]] = {}
     for picture in find_files(folder, PICTURES, "--materials"):
@@ -153,11 +137,7 @@ def drawn_jobs(
 
 
 def require_meshes(manifest: Path, meshes: list[Path] | None, preset: str) -> None:
-    """Checks that a preset's own manifest finds all its meshes.
-
-    Raises:
-        InputError: if one is missing.
-    """
+    """Checks that a preset's own manifest finds all its meshes."""
     with manifest.open(newline="") as file:
         wanted = [row["object"] for row in csv.DictReader(file)]
     stems = {mesh.stem.lower() for mesh in meshes or []}
@@ -178,16 +158,10 @@ def manifest_jobs(
 ) -> list[Job]:
     """The objects of a list.
 
-    Args:
-        path: CSV with columns `object`, `material`, `category` and, if wanted, `id`
-            and `lighting` (several separated by blanks), as `ps_wild_test.csv`.
-        seed: of what is drawn: a shape by the object's name where no mesh file has
-            it, a material by its name where no texture folder has it.
-        meshes: the user's.
-        materials: see `find_materials`.
-
-    Raises:
-        InputError: if a column is missing or a category or lighting unknown.
+    A shape is drawn by the object's name where no mesh file has it, a material by its
+    name where no texture folder (`find_materials`) has it. `path` is a CSV file with
+    columns `object`, `material`, `category` and, if wanted, `id` and `lighting`
+    (several separated by blanks), as `ps_wild_test.csv`.
     """
     by_name = {mesh.stem.lower(): mesh for mesh in meshes or []}
     named = (materials or {}).items()

@@ -27,11 +27,7 @@ class BlenderError(RuntimeError):
 
 
 def find_python() -> str:
-    """The Python that has `bpy`: `$UNIPS_BPY_PYTHON`, or this one.
-
-    Raises:
-        InputError: if it cannot import `bpy`.
-    """
+    """The Python that has `bpy`: `$UNIPS_BPY_PYTHON`, or this one."""
     python = os.environ.get(VARIABLE, sys.executable)
     try:
         probe = subprocess.run(
@@ -94,16 +90,10 @@ class Blender:
             self._process = None
 
     def ask(self, do: str, *, limit_s: float = 3600.0, **arguments: Any) -> Any:
-        """Sends a request and waits for its answer.
+        """Asks for a method of `blender.worker.Studio`; waits for the answer.
 
-        Args:
-            do: a method of `blender.worker.Studio`.
-            limit_s: seconds after which the process is given up.
-            arguments: of that method.
-
-        Raises:
-            BlenderError: if the request failed, or the process died or hung; the next
-                request starts another, which knows of no object.
+        `BlenderError` if the request failed, or the process died or hung for `limit_s`
+        seconds; the next request starts another, which knows of no object.
         """
         process = self._start()
         assert process.stdin and process.stdout
@@ -125,13 +115,9 @@ class Blender:
         return answer["ok"]
 
     def picture(self, do: str, **arguments: Any) -> dict[str, np.ndarray]:
-        """Asks for a picture and reads it.
+        """Asks for a picture: its channels by name, float32 `[H, W]`.
 
-        Returns:
-            Channels by name, float32 `[H, W]`; a leading "ViewLayer." is left out.
-
-        Raises:
-            BlenderError: as in `ask`.
+        A leading "ViewLayer." of names is left out.
         """
         path = self.folder / "picture.exr"
         path.unlink(missing_ok=True)

@@ -65,11 +65,7 @@ class Plan(NamedTuple):
 
 
 def plan(preset: str = "test", **given: Any) -> Plan:
-    """What a preset and options ask for; of these None is the preset's.
-
-    Raises:
-        InputError: for bad input.
-    """
+    """What a preset and options ask for; of these None is the preset's."""
     chosen: dict[str, Any] = {"objects": 6, "seed": 0, "environments": None}
     chosen |= PRESETS[preset]
     chosen |= {name: value for name, value in given.items() if value is not None}
@@ -117,17 +113,10 @@ def render(
     only: str | None = None,
     **given: Any,
 ) -> None:
-    """Renders a set.
+    """Renders a set: one of `PRESETS`, with options as in `plan`.
 
-    Args:
-        output: the set's folder.
-        preset: one of `PRESETS`.
-        sheet: also a picture of the whole set.
-        only: this object of it alone.
-        **given: as in `plan`.
-
-    Raises:
-        InputError: for bad input, and if objects had to be left out.
+    `sheet` is also a picture of the whole set; `only` renders this object of it alone.
+    `InputError` also if objects had to be left out.
     """
     if sheet is not None:
         check_picture(sheet, "--sheet")
@@ -157,9 +146,6 @@ def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
     """A column per object: its normals, then two photographs under each lighting.
 
     RGB uint8, photographs with the sRGB curve; what is missing of an object is black.
-
-    Raises:
-        InputError: if the set cannot be read.
     """
     from unips_jax.io.color import srgb_encode
     from unips_jax.io.ps_wild import PSWildFolders, read_object

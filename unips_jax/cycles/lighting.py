@@ -29,19 +29,12 @@ def _around(rng: np.random.Generator, file: str, mean: float) -> dict[str, Any]:
 def draw_light(
     rng: np.random.Generator, lighting: str, file: str = "", mean: float = 1.0
 ) -> dict[str, Any]:
-    """Draws the light of one photograph.
+    """Draws the light of one photograph, as Blender's `Studio.image` takes it.
 
-    Args:
-        rng: draws it.
-        lighting: one of `LIGHTINGS`. A directional light is white with irradiance pi;
-            an environment has mean radiance 1 (irradiance about pi) and is turned
-            about the vertical; mixed is both, the lamp 0.5 to 4 times as strong; near
-            is a square lamp at 1.3 to 3 times the object's half width.
-        file: the environment's picture.
-        mean: its mean radiance.
-
-    Returns:
-        `lamps` and `environment` as Blender's `Studio.image` takes them.
+    A directional light is white with irradiance pi; an environment, a `file` of mean
+    radiance `mean`, gets mean radiance 1 (irradiance about pi) and is turned about the
+    vertical; mixed is both, the lamp 0.5 to 4 times as strong; near is a square lamp at
+    1.3 to 3 times the object's half width.
     """
     lamps: list[dict[str, Any]] = []
     environment = None

@@ -27,33 +27,24 @@ _ROTATIONS = 20
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """How a set is rendered.
+    """How a set is rendered."""
 
-    Attributes:
-        lightings: folders of the set.
-        images: per object and lighting.
-        size: side in pixels.
-        samples: paths per pixel.
-        denoise: with Open Image Denoise.
-        perspective: share of objects seen in perspective, 35 mm to 200 mm equivalents.
-        min_entropy_bits: of the normals; see `scenes.poses.normal_entropy_bits`.
-        training: files as in PS-Wild's training set, `00.tif` (`000.tif` of more than
-            10), instead of `L_00.png`.
-        environments: files; drawn ones if empty.
-        seed: of the set.
-        files: of the user, by option and name: size or digest. Only recorded.
-    """
-
+    # folders of the set
     lightings: tuple[str, ...] = ("directional", "environment", "mixed")
-    images: int = 10
-    size: int = 512
-    samples: int = 256
-    denoise: bool = False
+    images: int = 10  # per object and lighting
+    size: int = 512  # side in pixels
+    samples: int = 256  # paths per pixel
+    denoise: bool = False  # with Open Image Denoise
+    # share of objects seen in perspective, 35 mm to 200 mm equivalents
     perspective: float = 0.5
+    # of the normals; see `scenes.poses.normal_entropy_bits`
     min_entropy_bits: float = 4.0
+    # files as in PS-Wild's training set, `00.tif` (`000.tif` of more than 10), instead
+    # of `L_00.png`
     training: bool = False
-    environments: tuple[str, ...] = ()
-    seed: int = 0
+    environments: tuple[str, ...] = ()  # files; drawn ones if empty
+    seed: int = 0  # of the set
+    # of the user, by option and name: size or digest. Only recorded.
     files: dict[str, int] = dataclasses.field(default_factory=dict)
 
 
@@ -69,10 +60,9 @@ class Truth(NamedTuple):
 def read_truth(channels: dict[str, np.ndarray]) -> Truth:
     """Takes the passes of `Studio.truth` apart.
 
-    Returns:
-        `mask [H, W]` bool, where there is an object with a unit normal; `normals
-        [H, W, 3]`, zero outside; `depth [H, W]`, along the view axis, from the camera,
-        0 outside; `maps`: `baseColor [H, W, 3]`, `roughness` and `metal [H, W]`.
+    `mask [H, W]` bool, where there is an object with a unit normal; `normals [H, W,
+    3]`, zero outside; `depth [H, W]`, along the view axis, from the camera, 0 outside;
+    `maps`: `baseColor [H, W, 3]`, `roughness` and `metal [H, W]`.
     """
 
     def stack(name: str, parts: str) -> np.ndarray:
@@ -95,7 +85,6 @@ def read_photograph(channels: dict[str, np.ndarray], mask: np.ndarray) -> np.nda
     """Radiance of the object, `[H, W, 3]`, zero outside the mask.
 
     Pixels at the outline, which the object covers in part, are divided by that part.
-
     The channels are R, G, B, premultiplied, and A, `[H, W]` each.
     """
     alpha = channels["A"]
@@ -136,8 +125,7 @@ def pose(
 ) -> dict[str, Any]:
     """Builds an object and turns it until it fits and its normals are varied enough.
 
-    Raises:
-        BlenderError: if Blender cannot build it, or no rotation will do.
+    `BlenderError` if Blender cannot build it, or no rotation will do.
     """
     blender.ask("build", shape=job.shape, material=job.material)
     focal_mm = None
@@ -219,9 +207,8 @@ def render_object(
 ) -> None:
     """Renders an object under several lightings, into folders that do not exist yet.
 
-    Raises:
-        BlenderError: if the object cannot be rendered.
-        InputError: at the end, if an environment cannot be read.
+    `BlenderError` if it cannot be rendered; at the end, `InputError` for an environment
+    that cannot be read.
     """
     facts = {**job.facts, "seed": list(job.seed), "engine": "cycles"}
     facts["versions"] = blender.ask("version")
@@ -259,13 +246,8 @@ def render_set(
     """Renders what is missing of a set; several processes may share the work.
 
     `out` receives `LIGHTING/NAME.data`, and `failures/NAME.txt` of objects that could
-    not be rendered.
-
-    Returns:
-        Names of such objects; the others are complete, also those of other processes.
-
-    Raises:
-        InputError: if `out` is a set rendered otherwise.
+    not be rendered, whose names are returned; the others are complete, also those of
+    other processes.
     """
     locks, failures = out / ".locks", out / "failures"
     locks.mkdir(parents=True, exist_ok=True)

@@ -59,7 +59,7 @@ class Subset:
 class NormalFiles:
     """A folder of normals."""
 
-    folder: Path  # where they are
+    folder: Path
     signs: tuple[int, int, int] = (1, 1, 1)  # of x, y and z, by which they become ours
     order: tuple[int, int, int] = (0, 1, 2)  # of the channels
     # where an object's file is in the folder, with `{object}`; empty: see the module

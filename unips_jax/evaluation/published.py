@@ -14,7 +14,7 @@ from typing import NamedTuple
 class Published(NamedTuple):
     """A row of someone's table."""
 
-    method: str  # its name there
+    method: str
     # degrees by lighting (PS-Wild) or by object, and `mean` where only that is printed
     scores: Mapping[str, float]
     group: str = "method"  # "method", or an ablation of UniPS

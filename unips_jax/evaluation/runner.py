@@ -32,7 +32,7 @@ class Result:
     entry: str  # the object's name
     tags: Mapping[str, str]
     notes: Sequence[str]  # quirks of its data
-    label: str  # the method's
+    label: str
     count: int | None  # of images asked for; None for all
     images: int  # how many were used
     score: Score | None  # None where the truth is withheld or the method could not run

@@ -17,35 +17,21 @@ _FAR = 1e4  # beyond any light
 
 
 class Backdrop(NamedTuple):
-    """A table and a wall.
+    """A table and a wall."""
 
-    Attributes:
-        present: whether the scene has them; all below is for those that do.
-        normals: `[2, 3]`, unit, towards the object.
-        offsets: `[2]`, how far behind the origin; `_FAR` where absent.
-        waves: `[2, 3]`, of the cloth's normals: cycles per unit in the world.
-        slopes: `[2]`, their amplitude.
-    """
-
-    present: Array
-    normals: Array
-    offsets: Array
-    waves: Array
-    slopes: Array
+    present: Array  # whether the scene has them; all below is for those that do
+    normals: Array  # `[2, 3]`, unit, towards the object
+    offsets: Array  # `[2]`, how far behind the origin; `_FAR` where absent
+    waves: Array  # `[2, 3]`, of the cloth's normals: cycles per unit in the world
+    slopes: Array  # `[2]`, their amplitude
 
 
 class Ground(NamedTuple):
-    """What of a backdrop is seen, flat `[P]`.
+    """What of a backdrop is seen, flat `[P]`."""
 
-    Attributes:
-        seen: where it is in front.
-        point: in the world.
-        normal: unit, towards the viewer's side.
-    """
-
-    seen: Array
-    point: Point
-    normal: Point
+    seen: Array  # where it is in front
+    point: Point  # in the world
+    normal: Point  # unit, towards the viewer's side
 
 
 def draw_backdrop(draws: Draws, rate: float, possible: Array) -> Backdrop:

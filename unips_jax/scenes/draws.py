@@ -22,11 +22,7 @@ class Draws:
         self._used = 0
 
     def unit(self, *shape: int) -> Array:
-        """Uniform in [0, 1), `[*shape]`.
-
-        Raises:
-            ValueError: if the block is used up.
-        """
+        """Uniform in [0, 1), `[*shape]`; `ValueError` if the block is used up."""
         first, self._used = self._used, self._used + math.prod(shape)
         if self._used > self._block.size:
             raise ValueError(

@@ -26,33 +26,22 @@ FLUX = 3.0
 
 
 class Tables(NamedTuple):
-    """E environments.
+    """E environments."""
 
-    Attributes:
-        radiance: `[E, L, *TABLE_SIZE, 3]`, a level for each of `BLURS`, without suns.
-        sun_directions: `[E, 3]`, unit, y up.
-        sun_colors: `[E, 3]`, irradiance on what faces it; zero where there is none.
-    """
-
+    # `[E, L, *TABLE_SIZE, 3]`, a level for each of `BLURS`, without suns
     radiance: np.ndarray
-    sun_directions: np.ndarray
+    sun_directions: np.ndarray  # `[E, 3]`, unit, y up
+    # `[E, 3]`, irradiance on what faces it; zero where there is none
     sun_colors: np.ndarray
 
 
 class Photograph(NamedTuple):
-    """Which environment surrounds a scene, and how it was changed.
-
-    Attributes:
-        number: of the environment.
-        share: how much of it there is; the rest is drawn.
-        mirror: 1, or -1 where left and right are swapped.
-        tint: `[3]`, factors of its colours.
-    """
+    """Which environment surrounds a scene, and how it was changed."""
 
     number: Array
-    share: Array
-    mirror: Array
-    tint: Array
+    share: Array  # how much of it there is; the rest is drawn
+    mirror: Array  # 1, or -1 where left and right are swapped
+    tint: Array  # `[3]`, factors of its colours
 
 
 @functools.cache
@@ -79,12 +68,8 @@ def directions_of(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 def look_up(photograph: Photograph, direction: Point, blur: Array) -> list[Array]:
     """Radiance from directions, red, green and blue.
 
-    Bilinear in the level whose blur is nearest.
-
-    Args:
-        photograph: which one.
-        direction: unit, in the environment's frame.
-        blur: about the lobe's standard deviation, radians.
+    Bilinear in the level whose blur, about the lobe's standard deviation in radians, is
+    nearest. Directions are unit, in the environment's frame.
     """
     table = load_tables().radiance
     _, levels, height, width, _ = table.shape

@@ -68,8 +68,9 @@ def render_folders(
 ) -> None:
     """Writes `out/LIGHTING/objNNN.data` for every object and lighting.
 
-    Object K of a seed is always the same; folders that exist are kept. Several
-    processes may share the work.
+    Object K of a seed is always the same; folders that exist are kept, `InputError` if
+    they were rendered otherwise, or by other code. Several processes may share the
+    work.
 
     Args:
         out: the tree's root.
@@ -78,9 +79,6 @@ def render_folders(
         size: side in pixels, a multiple of 4.
         seed: of the whole tree.
         shapes: some of `SHAPE_KINDS`, which objects take in turn; any without.
-
-    Raises:
-        InputError: if a folder is there that was rendered otherwise, or by other code.
     """
     options: dict[str, Any] = {"seed": seed, "size": size, "images": images}
     if shapes:
@@ -157,14 +155,7 @@ def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:
 
 
 def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
-    """Writes a contact sheet of random scenes.
-
-    Args:
-        path: of the picture.
-        size: side of each image in pixels.
-        seed: of the scenes.
-        scenes: how many; eights of them.
-    """
+    """Writes a contact sheet of random scenes, eights of them, images `size` wide."""
     batches = []
     for first in track(range(0, scenes, 8), "rendering"):
         keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), first), 8)

@@ -43,39 +43,22 @@ SKY_STRIDE = 4
 
 
 class Geometry(NamedTuple):
-    """What does not depend on materials, lights and sensor.
+    """What does not depend on materials, lights and sensor."""
 
-    Attributes:
-        mask: `[H, W]` bool.
-        normals: `[H, W, 3]`, unit inside the mask, zero outside.
-        positions: `[H, W, 3]` in the world; meaningless outside the mask.
-        view: `[H, W, 3]`, unit, towards the viewer.
-        height: `[H, W]`, the fine relief in units of its amplitude, about [-1, 1].
-        directions: `[D, 3]`, unit, where visibility is tabulated.
-        visibility: `[D, H, W]` in [0, 1].
-        shape: the object, for shadow rays.
-        to_object: `[3, 3]`, world to the object's frame, apart from its centre.
-        camera: the camera.
-        focal: 35 mm equivalent of the frame in mm; 0 for orthographic cameras.
-        entropy: of the normals, in bits.
-        backdrop: table and wall; None where no scene has them.
-        ground: `[H, W]` bool, where these are seen; part of the mask.
-    """
-
-    mask: Array
-    normals: Array
-    positions: Array
-    view: Array
-    height: Array
-    directions: Array
-    visibility: Array
-    shape: Shape
-    to_object: Array
+    mask: Array  # `[H, W]` bool
+    normals: Array  # `[H, W, 3]`, unit inside the mask, zero outside
+    positions: Array  # `[H, W, 3]` in the world; meaningless outside the mask
+    view: Array  # `[H, W, 3]`, unit, towards the viewer
+    height: Array  # `[H, W]`, the fine relief in units of its amplitude, about [-1, 1]
+    directions: Array  # `[D, 3]`, unit, where visibility is tabulated
+    visibility: Array  # `[D, H, W]` in [0, 1]
+    shape: Shape  # the object, for shadow rays
+    to_object: Array  # `[3, 3]`, world to the object's frame, apart from its centre
     camera: Camera
-    focal: Array
-    entropy: Array
-    backdrop: Backdrop | None = None
-    ground: Array | None = None
+    focal: Array  # 35 mm equivalent of the frame in mm; 0 for orthographic cameras
+    entropy: Array  # of the normals, in bits
+    backdrop: Backdrop | None = None  # table and wall; None where no scene has them
+    ground: Array | None = None  # `[H, W]` bool, where these are seen; part of the mask
 
 
 def _basis_directions(draws: Draws, count: int) -> Array:
@@ -174,16 +157,7 @@ def render_geometry(
 ) -> Geometry:
     """Draws an object and a camera and finds what is visible: the expensive stage.
 
-    Args:
-        key: for all of it.
-        size: side of the images in pixels, a multiple of 4.
-        config: the distribution of scenes.
-        shape: index into `SHAPE_KINDS` instead of a random one.
-        camera: 0 for an orthographic camera, 1 for a perspective one.
-        meshes: from `load_meshes`, where `mesh_rate` is above 0.
-
-    Raises:
-        ValueError: if `size` is not a multiple of 4, or meshes are missing.
+    Arguments are those of `render_scene`.
     """
     config = config or SceneConfig()
     if size <= 0 or size % 4:

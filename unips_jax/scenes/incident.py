@@ -24,28 +24,23 @@ class IncidentLight(NamedTuple):
 
     Tables and walls of scenes hide what is behind them; what they reflect themselves is
     left out. Vectors are in the frame of normals (x right, y up, z to the viewer).
-
-    Attributes:
-        harmonics: `[N, 9, 3]`, coefficients of radiance, lamp and surroundings, in the
-            order of `lighting.harmonics`. Exposure and white balance are included: a
-            Lambertian surface appears in the image as albedo / pi x irradiance, before
-            the response curve. 0 where unknown.
-        lamp_direction: `[N, 3]`, unit, towards the lamp (the sun of some surroundings);
-            0 where there is none or it is unknown.
-        lamp_share: `[N]` in [0, 1], the lamp's share of the power of all light, the
-            mean of the colours; 1 where there is nothing else.
-        lamp_nearness: `[N]`, 1 / distance of the lamp, in radii of the object; 0 where
-            distant.
-        harmonics_known: `[N]` bool.
-        lamp_known: `[N]` bool, for all three of the lamp.
     """
 
+    # `[N, 9, 3]`, coefficients of radiance, lamp and surroundings, in the order of
+    # `lighting.harmonics`. Exposure and white balance are included: a Lambertian
+    # surface appears in the image as albedo / pi x irradiance, before the response
+    # curve. 0 where unknown.
     harmonics: Array | np.ndarray
+    # `[N, 3]`, unit, towards the lamp (the sun of some surroundings); 0 where there is
+    # none or it is unknown
     lamp_direction: Array | np.ndarray
+    # `[N]` in [0, 1], the lamp's share of the power of all light, the mean of the
+    # colours; 1 where there is nothing else
     lamp_share: Array | np.ndarray
+    # `[N]`, 1 / distance of the lamp, in radii of the object; 0 where distant
     lamp_nearness: Array | np.ndarray
-    harmonics_known: Array | np.ndarray
-    lamp_known: Array | np.ndarray
+    harmonics_known: Array | np.ndarray  # `[N]` bool
+    lamp_known: Array | np.ndarray  # `[N]` bool, for all three of the lamp
 
 
 def _sphere_points() -> np.ndarray:
@@ -61,13 +56,9 @@ def _sphere_points() -> np.ndarray:
 def incident_light(
     keys: KeyLights, environment: Environment, gain: Array, backdrop: Backdrop | None
 ) -> IncidentLight:
-    """That of a scene.
+    """That of a scene, of N key lights and rotations of the environment.
 
-    Args:
-        keys: N key lights.
-        environment: N rotations of it.
-        gain: `[N, 3]`, exposure and white balance.
-        backdrop: table and wall.
+    `gain` `[N, 3]` is exposure and white balance.
     """
     squared = jnp.sum(jnp.square(keys.vector), -1, keepdims=True)  # [N, 1]
     away = jnp.where(keys.near[:, None] > 0, squared, 1.0)
@@ -96,17 +87,12 @@ def incident_light(
 
 
 def folder_light(facts: Mapping[str, Any], count: int) -> IncidentLight:
-    """That of a PS-Wild folder's photographs, in NumPy.
+    """That of a PS-Wild folder's `count` photographs, in NumPy.
 
     Known is everything where a lamp is all the light; of sets by Cycles also the lamp
-    where there are surroundings; nothing of folders without `meta.json`.
-
-    Args:
-        facts: its `meta.json`, checked by `io.ps_wild.meta_lights`.
-        count: N, how many photographs it holds.
-
-    Raises:
-        ValueError: if `facts` has another number of lights.
+    where there are surroundings; nothing of folders without `meta.json`. `facts` are
+    that, checked by `io.ps_wild.meta_lights`; `ValueError` if they have another number
+    of lights.
     """
     directions, lights = facts.get("light_directions"), facts.get("lights")
     if lights:

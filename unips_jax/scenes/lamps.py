@@ -21,36 +21,23 @@ _DIRECTIONAL, _ENVIRONMENT, _MIXED, _POINT, _AREA = range(len(LIGHT_KINDS))
 
 
 class KeyLights(NamedTuple):
-    """One light per image.
+    """One light per image."""
 
-    Attributes:
-        vector: `[N, 3]`, unit direction towards the light, or its position.
-        near: `[N]`, 1 where `vector` is a position.
-        radius: `[N]`, angular radius in radians, or radius where near.
-        color: `[N, 3]`, irradiance on a surface that faces the light; near lights:
-            at distance 1 from it.
-    """
-
-    vector: Array
-    near: Array
-    radius: Array
+    vector: Array  # `[N, 3]`, unit direction towards the light, or its position
+    near: Array  # `[N]`, 1 where `vector` is a position
+    radius: Array  # `[N]`, angular radius in radians, or radius where near
+    # `[N, 3]`, irradiance on a surface that faces the light; near lights: at distance 1
+    # from it
     color: Array
 
 
 class Sides(NamedTuple):
-    """From where all of a scene's images are lit.
+    """From where all of a scene's images are lit."""
 
-    Attributes:
-        one: whether from one side only.
-        corner: whether from one quadrant only.
-        axes: `[2, 3]`, to the middle of the side in the image plane, and across it.
-        turn: how far environments turn between images, as a share of a whole turn.
-    """
-
-    one: Array
-    corner: Array
-    axes: Array
-    turn: Array
+    one: Array  # whether from one side only
+    corner: Array  # whether from one quadrant only
+    axes: Array  # `[2, 3]`, to the middle of the side in the image plane, and across it
+    turn: Array  # how far environments turn between images, as a share of a whole turn
 
 
 def _key_directions(draws: Draws, num_images: int) -> Array:
@@ -90,7 +77,7 @@ def draw_lights(
     sides: Sides | None = None,
     photographs: tuple[Draws, float] | None = None,
 ) -> tuple[KeyLights, Environment]:
-    """Draws one scene's lights.
+    """Draws one scene's lights; what its kind lacks has no brightness.
 
     Args:
         draws: at least 110 + 20 N numbers.
@@ -98,9 +85,6 @@ def draw_lights(
         num_images: N.
         sides: from where; None: from anywhere.
         photographs: what draws photographed environments, 6 numbers, and their share.
-
-    Returns:
-        Key lights and an environment; what the kind lacks has no brightness.
     """
     turn = 1.0 if sides is None else sides.turn
     environment = draw_environment(draws, num_images, turn)
@@ -152,9 +136,8 @@ def key_light_at(
 ) -> tuple[Point, Array, Array]:
     """One key light, of `KeyLights`, at points in the world.
 
-    Returns:
-        Unit direction to the light, distance (huge where distant), and the factor
-        on the light's colour.
+    Returns the unit direction to the light, distance (huge where distant), and the
+    factor on the light's colour.
     """
     offset = tuple(vector[i] - near * point[i] for i in range(3))
     squared = jnp.maximum(dot(offset, offset), 1e-4)

@@ -38,9 +38,6 @@ def load_meshes(config: SceneConfig) -> np.ndarray | None:
     """The grids `[M, G, G, G]` that a configuration wants, float16.
 
     They are arguments of what renders, since compiled constants of their size are dear.
-
-    Raises:
-        InputError: if its file is none.
     """
     return _read(str(Path(config.mesh_file))) if config.mesh_rate else None
 

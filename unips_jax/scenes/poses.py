@@ -27,17 +27,12 @@ _HISTOGRAM_BINS = 16
 
 
 def normal_entropy_bits(normals: Array, mask: Array) -> Array:
-    """Shannon entropy of a normal map.
+    """Shannon entropy of a normal map in bits; 0 for an empty mask.
 
-    The histogram has 16 x 16 bins over (n_x, n_y) in [-1, 1]^2 (the visible
-    hemisphere seen from the front); every masked pixel counts once. A sphere that
-    fills a 24 x 24 frame has about 7.3 bits, a plane 0.
-
-    Source: UniPS (Ikehata, CVPR 2022), Sec. 3, which keeps objects above 4 without
-    saying how the histogram is made.
-
-    Returns:
-        Bits; 0 for an empty mask.
+    The histogram has 16 x 16 bins over (n_x, n_y) in [-1, 1]^2 (the visible hemisphere
+    seen from the front); every masked pixel counts once. A sphere that fills a 24 x 24
+    frame has about 7.3 bits, a plane 0. Source: UniPS (Ikehata, CVPR 2022), Sec. 3,
+    which keeps objects above 4 and does not state how the histogram is made.
     """
     bins = jnp.arange(_HISTOGRAM_BINS)
     index = jnp.floor((normals[..., :2].reshape(-1, 2) + 1) * (_HISTOGRAM_BINS / 2))
@@ -89,13 +84,10 @@ def pose_and_frame(
 ) -> tuple[Shape, Array, Camera, Array]:
     """Draws rotations, takes the first of sufficient entropy, crops the frame.
 
-    Of one object in a thousand the cuts leave nothing: these lose their cuts.
-
-    `draws` has at least 6 numbers for every candidate, and 3 more.
-
-    Returns:
-        The object; its pose `[3, 3]`, rotation from the object's frame to the world;
-        the camera, cropped to the object; and the entropy of the normals, in bits.
+    Of one object in a thousand the cuts leave nothing: these lose their cuts. `draws`
+    has at least 6 numbers for every candidate, and 3 more. Returns the object; its pose
+    `[3, 3]`, rotation from the object's frame to the world; the camera, cropped to the
+    object; and the entropy of the normals, in bits.
     """
     count = config.rotation_candidates
     free = draws.rotation(count)

@@ -20,19 +20,12 @@ _CELLS = 4
 
 
 class Rims(NamedTuple):
-    """The border of one scene.
+    """The border of one scene."""
 
-    Attributes:
-        mixed: whether border pixels are partly background.
-        share: `[H, W]`, the object's share of each pixel where mixed.
-        background: `[N, 3, H, W]`.
-        offset: `[H, W]`, by how many pixels the mask is too large there, rounded.
-    """
-
-    mixed: Array
-    share: Array
-    background: Array
-    offset: Array
+    mixed: Array  # whether border pixels are partly background
+    share: Array  # `[H, W]`, the object's share of each pixel where mixed
+    background: Array  # `[N, 3, H, W]`
+    offset: Array  # `[H, W]`, by how many pixels the mask is too large there, rounded
 
 
 def band(size: int, amount: Array | float) -> Array:
@@ -82,11 +75,8 @@ def border_depth(mask: Array, steps: int = REACH) -> Array:
 def draw_rims(draws: Draws, uniform: Array, mean: Array, mask: Array) -> Rims:
     """Draws a background, how far the border mixes with it, and the mask's error.
 
-    Args:
-        draws: at least 48 + 3 N numbers.
-        uniform: `[H, W]` in [0, 1), for jagged masks.
-        mean: `[N, 3]`, the object's mean in each image.
-        mask: `[H, W]` bool.
+    `draws` has at least 48 + 3 N numbers; `uniform` `[H, W]` in [0, 1) is for jagged
+    masks; `mean` `[N, 3]` is the object's mean in each image.
     """
     mixed = draws.chance(0.8)
     # Across one or three pixels: a sharp lens, or a soft one or an enlarged picture.

@@ -25,29 +25,17 @@ _ABSENT = 22  # its column in a packed slot
 
 
 class Primitives(NamedTuple):
-    """Parameters of K primitives.
+    """Parameters of K primitives."""
 
-    Attributes:
-        center: `[K, 3]`.
-        rotation: `[K, 3, 3]`, from the object's frame to the primitive's.
-        scale: `[K, 3]`, by which the primitive is stretched (ellipsoids).
-        extent: `[K, 3]`, half extents before scaling.
-        corner: `[K]`, radius of the corners of the x-y rectangle.
-        hole: `[K]`, half thickness of the ring; `SOLID` for solid primitives.
-        edge: `[K]`, radius of the edges of the extrusion.
-        blend: `[K]`, width of the smooth union with (or cut from) what came before.
-        absent: `[K]`, added to the distance; large where the slot is empty.
-    """
-
-    center: Array
-    rotation: Array
-    scale: Array
-    extent: Array
-    corner: Array
-    hole: Array
-    edge: Array
-    blend: Array
-    absent: Array
+    center: Array  # `[K, 3]`
+    rotation: Array  # `[K, 3, 3]`, from the object's frame to the primitive's
+    scale: Array  # `[K, 3]`, by which the primitive is stretched (ellipsoids)
+    extent: Array  # `[K, 3]`, half extents before scaling
+    corner: Array  # `[K]`, radius of the corners of the x-y rectangle
+    hole: Array  # `[K]`, half thickness of the ring; `SOLID` for solid primitives
+    edge: Array  # `[K]`, radius of the edges of the extrusion
+    blend: Array  # `[K]`, width of the smooth union with (or cut from) what came before
+    absent: Array  # `[K]`, added to the distance; large where the slot is empty
 
 
 def pack(p: Primitives) -> Array:
@@ -62,71 +50,46 @@ def pack(p: Primitives) -> Array:
 
 
 class Detail(NamedTuple):
-    """Fine relief: noise of two octaves plus one pattern.
+    """Fine relief: noise of two octaves plus one pattern."""
 
-    Attributes:
-        seed: uint32.
-        rotation: `[3, 3]`, from the object's frame to the pattern's.
-        frequency: cells per unit of length.
-        noise: amplitude of the noise.
-        groove, ridge, dimple, weave: amplitudes of the patterns.
-        groove_width: share of a cell.
-    """
-
-    seed: Array
-    rotation: Array
-    frequency: Array
-    noise: Array
+    seed: Array  # uint32
+    rotation: Array  # `[3, 3]`, from the object's frame to the pattern's
+    frequency: Array  # cells per unit of length
+    noise: Array  # amplitudes of the noise, and of the patterns
     groove: Array
     ridge: Array
     dimple: Array
     weave: Array
-    groove_width: Array
+    groove_width: Array  # share of a cell
 
 
 class Shape(NamedTuple):
-    """One object in its own frame, where it fits into a sphere.
+    """One object in its own frame, where it fits into a sphere."""
 
-    Attributes:
-        slots: `[K, 24]`, see `pack`; the last `NUM_CUTS` are cut away.
-        lathe: 1 where the object is turned about y, else 0.
-        mirror: 1 where it is symmetric in x, else 0.
-        twist: radians per unit along y.
-        profile: `[P, 3]`, how wide the object is at heights from -1 to 1, the bottom
-            and top of its sphere: rows hold a knot's height, the length over which it
-            is rounded and half the bend there; see `profile_through`.
-        slab: `[2]`: a height y and half a thickness; what is not between these two
-            planes is cut away.
-        waves: `[W, 5]`: cycles per unit (3), phase in cycles, amplitude.
-        wave_warp: cycles by which a unit of displacement shifts the next wave.
-        wave_ridge: 0 for smooth waves, 1 for creases.
-        step_scale: factor that makes the distance safe to march.
-        detail: fine relief.
-        center: `[3]` and
-        radius: scalar, a sphere around everything.
-        kind: index into `SHAPE_NAMES`.
-        grid: `[G, G, G]`, of a mesh instead; None where no scene has one.
-        stretch: `[3]`, by which the mesh is stretched, mirrored where negative.
-        is_mesh: whether the grid is the shape; None: always.
-    """
-
-    slots: Array
-    lathe: Array
-    mirror: Array
-    twist: Array
+    slots: Array  # `[K, 24]`, see `pack`; the last `NUM_CUTS` are cut away
+    lathe: Array  # 1 where the object is turned about y, else 0
+    mirror: Array  # 1 where it is symmetric in x, else 0
+    twist: Array  # radians per unit along y
+    # `[P, 3]`, how wide the object is at heights from -1 to 1, the bottom and top of
+    # its sphere: rows hold a knot's height, the length over which it is rounded and
+    # half the bend there; see `profile_through`
     profile: Array
+    # `[2]`: a height y and half a thickness; what is not between these two planes is
+    # cut away
     slab: Array
-    waves: Array
-    wave_warp: Array
-    wave_ridge: Array
-    step_scale: Array
+    waves: Array  # `[W, 5]`: cycles per unit (3), phase in cycles, amplitude
+    wave_warp: Array  # cycles by which a unit of displacement shifts the next wave
+    wave_ridge: Array  # 0 for smooth waves, 1 for creases
+    step_scale: Array  # factor that makes the distance safe to march
     detail: Detail
-    center: Array
+    center: Array  # `[3]`, of a sphere around everything
     radius: Array
-    kind: Array
+    kind: Array  # index into `SHAPE_NAMES`
+    # `[G, G, G]`, of a mesh instead; None where no scene has one
     grid: Array | None = None
+    # `[3]`, by which the mesh is stretched, mirrored where negative
     stretch: Array | None = None
-    is_mesh: Array | None = None
+    is_mesh: Array | None = None  # whether the grid is the shape; None: always
 
 
 def _larger(a: Array, b: Array | float) -> Array:
@@ -162,17 +125,11 @@ def _compose(d: Array, slot: Array, point: Point) -> Array:
 
 
 def profile_through(heights: Array, widths: Array, rounding: Array | float) -> Array:
-    """The `Shape.profile` that is linear between knots.
+    """The `Shape.profile` `[P, 3]` that is linear between knots.
 
-    At the height y it is the sum of half bends times |y - height|.
-
-    Args:
-        heights: `[P]`, rising from -1 to 1, in radii of the object's sphere.
-        widths: `[P]`, in (0, 1].
-        rounding: over how much height the knots between the ends are rounded.
-
-    Returns:
-        `[P, 3]`.
+    At the height y it is the sum of half bends times |y - height|. `heights` `[P]` rise
+    from -1 to 1, in radii of the object's sphere; `widths` `[P]` are in (0, 1]; knots
+    between the ends are rounded over the height `rounding`.
     """
     slopes = jnp.diff(widths) / jnp.diff(heights)
     ends = 0.5 * (widths[:1] + widths[-1:])

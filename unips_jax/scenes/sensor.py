@@ -11,18 +11,13 @@ from unips_jax.scenes.rims import Rims, band, draw_rims, miss, mix
 
 
 def exposure(radiance: Array, mask: Array, target: Array, spare: Array | bool) -> Array:
-    """The factor that brings each image to a target brightness, `[N]`.
+    """The factor that brings each image `[N, 3, H, W]` to a target brightness, `[N]`.
 
-    The measure lies between the bright end (mean plus two standard deviations) and
-    the typical value (from the mean root), so that neither highlights nor shadows
-    alone decide. For a matt sphere it is about the brightest value. With `spare` it
-    is the mean plus six standard deviations, so that highlights are seldom clipped.
-
-    Args:
-        radiance: `[N, 3, H, W]`.
-        mask: `[H, W]`.
-        target: `[N]`, share of the sensor's range.
-        spare: whether highlights are spared.
+    The measure lies between the bright end (mean plus two standard deviations) and the
+    typical value (from the mean root), so that neither highlights nor shadows alone
+    decide. For a matt sphere it is about the brightest value. With `spare` it is the
+    mean plus six standard deviations, so that highlights are seldom clipped. `target`
+    `[N]` is a share of the sensor's range.
     """
     weight = mask.astype(jnp.float32)
     total = 3 * jnp.maximum(jnp.sum(weight), 1.0)
@@ -42,12 +37,8 @@ def blur(images: Array, mask: Array, amount: Array) -> Array:
     """Averages with the masked neighbours, weight `amount` for each of four.
 
     Written as products with banded matrices: shifted copies would make the compiler
-    evaluate everything before them several times.
-
-    Args:
-        images: `[..., H, W]`, zero outside the mask.
-        mask: `[H, W]`.
-        amount: 0 for none.
+    evaluate everything before them several times. Images are `[..., H, W]`, zero
+    outside the mask.
     """
     weight = mask.astype(jnp.float32)
     rows, columns = (band(size, amount) for size in mask.shape)
@@ -93,10 +84,9 @@ def record(
 ) -> tuple[Array, Array, Array]:
     """What the camera records of linear radiance `[N, 3, H, W]`.
 
-    Returns:
-        Images `[N, 3, H, W]`, at most 1, zero outside the mask; the mask, which with
-        `rim_rate` may be `rims.REACH` pixels larger than the object; and the factor of
-        exposure and white balance, `[N, 3]`, before response and clipping.
+    Returns images `[N, 3, H, W]`, at most 1, zero outside the mask; the mask, which
+    with `rim_rate` may be `rims.REACH` pixels larger than the object; and the factor of
+    exposure and white balance, `[N, 3]`, before response and clipping.
     """
     key_draws, key_noise, key_mask = jax.random.split(key, 3)
     draws = Draws(key_draws, 32 + radiance.shape[0])

@@ -108,11 +108,10 @@ def shade_environment(
     surface: Surface,
     environment: Environment,
 ) -> tuple[Array, Array]:
-    """Radiance under the environment in all its N rotations.
+    """Radiance under the environment in all its N rotations, `[N, 3, P]` for P = H W.
 
-    Returns:
-        The radiance, `[N, 3, P]` for P = H W, and what the surface reflects of the
-        object's own light where the object hides the environment, `[3, P]`.
+    And what the surface reflects of the object's own light where the object hides the
+    environment, `[3, P]`.
     """
     normal, view = split(geometry.normals), split(geometry.view)
     n_v = jnp.maximum(dot(normal, view), 0.02)
@@ -175,16 +174,10 @@ def radiance(
     config: SceneConfig,
     near: Array | None = None,
 ) -> Array:
-    """Linear radiance of every image, `[N, 3, P]`.
+    """Linear radiance of every image, `[N, 3, P]`, under a lamp and surroundings each.
 
-    Args:
-        geometry: the object.
-        surface: its reflectance.
-        keys: a lamp of each image.
-        environment: the surroundings of each.
-        config: whether light bounces.
-        near: how far it comes, in image sides, of scenes where light bounces from what
-            is near; 0 where the object's mean takes its place; None: so for all.
+    `near`: how far light comes, in image sides, of scenes where it bounces from what is
+    near; 0 where the object's mean takes its place; None: so for all.
     """
     clear = jax.vmap(lambda *light: key_clearance(geometry, *light))(
         keys.vector, keys.near

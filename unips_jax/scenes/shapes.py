@@ -96,13 +96,9 @@ def _slab(draws: Draws, rate: Array, middle: Array, radius: Array) -> Array:
 
 
 def as_mesh(draws: Draws, shape: Shape, meshes: Array, rate: float) -> Shape:
-    """A mesh in the place of a share of the drawn shapes; its fine relief stays.
+    """A mesh of `[M, G, G, G]` for a share of the drawn shapes; its relief stays.
 
-    Args:
-        draws: at least 6 numbers.
-        shape: a drawn one.
-        meshes: `[M, G, G, G]`, see `scenes.meshes`.
-        rate: the share; what is always or never wanted is compiled alone.
+    `draws` has at least 6 numbers; what is always or never wanted is compiled alone.
     """
     is_mesh = draws.chance(rate)
     stretch = (

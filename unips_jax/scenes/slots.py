@@ -96,15 +96,10 @@ def _material(
 ) -> tuple[Array, Array]:
     """Where primitives are solid: about their centers, or in the tube of rings.
 
-    Args:
-        primitives: of K slots.
-        direction: `[K, 3]`, unit.
-        side: `[K]`, 0 or 1: whether a ring is met on its x or its y axis.
-        lathe: rings are met in the half plane x > 0, z = 0 instead.
-
-    Returns:
-        A point inside, from the center, `[K, 3]`, and how far the material reaches from
-        there at least, `[K, K]`: slots by directions.
+    Of K slots and unit directions `[K, 3]`. `side` `[K]`, 0 or 1, is whether a ring is
+    met on its x or its y axis; with `lathe` rings are met in the half plane x > 0, z =
+    0 instead. Returns a point inside, from the center, `[K, 3]`, and how far the
+    material reaches from there at least, `[K, K]`: slots by directions.
     """
     ring = (primitives.hole < SOLID)[:, None]
     side = side[:, None]

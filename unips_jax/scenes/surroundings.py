@@ -20,30 +20,19 @@ NUM_LOBES = 6
 
 
 class Environment(NamedTuple):
-    """Distant surroundings.
+    """Distant surroundings."""
 
-    Attributes:
-        rotation: `[N, 3, 3]`, world to the environment's frame (y up).
-        zenith, horizon, ground: `[3]`, radiance.
-        axes: `[S, 3, 3]`, rows: right, up and centre of each lobe.
-        half: `[S, 2]`, half extents in the lobe's tangent plane.
-        color: `[S, 3]`, radiance.
-        clutter: contrast of fine structure seen in reflections.
-        clutter_frequency: its cycles per unit of direction.
-        scale: `[N]`, brightness in each image.
-        photograph: one in its place, whole or in part; None where no scene has any.
-    """
-
-    rotation: Array
-    zenith: Array
+    rotation: Array  # `[N, 3, 3]`, world to the environment's frame (y up)
+    zenith: Array  # `[3]`, radiance, as the next two
     horizon: Array
     ground: Array
-    axes: Array
-    half: Array
-    color: Array
-    clutter: Array
-    clutter_frequency: Array
-    scale: Array
+    axes: Array  # `[S, 3, 3]`, rows: right, up and centre of each lobe
+    half: Array  # `[S, 2]`, half extents in the lobe's tangent plane
+    color: Array  # `[S, 3]`, radiance
+    clutter: Array  # contrast of fine structure seen in reflections
+    clutter_frequency: Array  # its cycles per unit of direction
+    scale: Array  # `[N]`, brightness in each image
+    # one in its place, whole or in part; None where no scene has any
     photograph: Photograph | None = None
 
 
@@ -58,11 +47,8 @@ def environment_radiance(
 ) -> tuple[Array, Array, Array]:
     """Radiance from a direction, averaged over a lobe around it.
 
-    Args:
-        environment: the surroundings.
-        rotation: one image's.
-        direction: unit, in the world.
-        blur: about the lobe's standard deviation, radians.
+    `rotation` is one image's, `direction` unit, in the world, `blur` about the lobe's
+    standard deviation, in radians.
     """
     d = rotate(rotation, direction)
     up = d[1]
@@ -170,17 +156,11 @@ def draw_environment(
 
 
 class Sun(NamedTuple):
-    """Of a photographed environment.
+    """Of a photographed environment."""
 
-    Attributes:
-        used: whether the scene has such an environment.
-        direction: `[3]`, in the environment's frame.
-        color: `[3]`, irradiance on what faces it.
-    """
-
-    used: Array
-    direction: Array
-    color: Array
+    used: Array  # whether the scene has such an environment
+    direction: Array  # `[3]`, in the environment's frame
+    color: Array  # `[3]`, irradiance on what faces it
 
 
 def draw_photograph(

@@ -17,17 +17,11 @@ from unips_jax.scenes.sdf import Shape, distance
 
 
 class Camera(NamedTuple):
-    """A camera on the z axis, looking down, and the window its frame shows.
+    """A camera on the z axis, looking down, and the window its frame shows."""
 
-    Attributes:
-        perspective: 1 for a perspective camera, 0 for an orthographic one.
-        distance: from the origin; infinite in effect for an orthographic camera.
-        window: `[3]`, centre x, y and half size of the frame on the plane z = 0.
-    """
-
-    perspective: Array
-    distance: Array
-    window: Array
+    perspective: Array  # 1 for a perspective camera, 0 for an orthographic one
+    distance: Array  # from the origin; infinite in effect for an orthographic camera
+    window: Array  # `[3]`, centre x, y and half size of the frame on the plane z = 0
 
 
 def object_point(shape: Shape, to_object: Array, point: Point) -> Point:
@@ -89,10 +83,8 @@ def trace(
     """Sphere-traces rays, at least by `least` per step until one is inside.
 
     The least step carries rays past the walls they graze; once inside, the last two
-    distances give the crossing.
-
-    Returns:
-        Where the rays arrived and the distance one step before.
+    distances give the crossing. Returns where the rays arrived and the distance one
+    step before.
     """
     _, far = sphere_interval(*rays)
 
@@ -118,10 +110,8 @@ def first_crossings(
 
     Rays that graze a contour, the outline or one in front of another surface, take many
     more steps than others: without the second march every contour would be a gap. It is
-    of a third of the rays, those nearest to a surface if more are still going.
-
-    Returns:
-        What `trace` does, `[size * size]`.
+    of a third of the rays, those nearest to a surface if more are still going. Returns
+    what `trace` does, `[size * size]`.
     """
     pixel = 2 * camera.window[2] / size
     factor = 4
@@ -188,11 +178,11 @@ def clearance(
 ) -> Array:
     """Closest approach of rays to the object, relative to the distance travelled.
 
-    Negative where the ray enters the object; about the angle, in radians, by which
-    it clears it otherwise (I. Quilez's penumbra estimate).
+    Negative where the ray enters the object; about the angle, in radians, by which it
+    clears it otherwise (I. Quilez's penumbra estimate).
 
-    The march does not shorten the distance for safety as `trace` does (not by more
-    than half): it would end inside larger hollows, before it meets their walls.
+    The march does not shorten the distance for safety as `trace` does (not by more than
+    half): it would end inside larger hollows, before it meets their walls.
 
     Args:
         shape: the object.
@@ -220,11 +210,8 @@ def clearance(
 def soft_visibility(clearance: Array, cosine: Array, sharpness: Array | float) -> Array:
     """How much of a disc of light is seen past the object, in [0, 1].
 
-    Args:
-        clearance: see the function of this name.
-        cosine: of the angle between normal and direction; an unoccluded plane has
-            this clearance and must not shade itself.
-        sharpness: reciprocal of the light's angular radius.
+    An unoccluded plane has the clearance `cosine`, between normal and direction, and
+    must not shade itself. `sharpness` is the reciprocal of the light's angular radius.
     """
     plane = jnp.minimum(sharpness * jnp.maximum(cosine, 0.02), 1.0)
     return jnp.clip(sharpness * clearance / plane, 0.0, 1.0)

@@ -12,8 +12,7 @@ _TOLERANCE = 0.01  # of the frame's half side
 def camera_distance(focal_mm: float | None) -> float:
     """From the origin, at which the plane z = 0 is seen within a circle of radius 1.
 
-    Args:
-        focal_mm: of a frame of `FRAME_MM`; None for an orthographic camera, 10 away.
+    `focal_mm` is of a frame of `FRAME_MM`; None for an orthographic camera, 10 away.
     """
     return 10.0 if focal_mm is None else math.hypot(1, 2 * focal_mm / FRAME_MM)
 
@@ -21,13 +20,9 @@ def camera_distance(focal_mm: float | None) -> float:
 def fit(points: np.ndarray, focal_mm: float | None) -> tuple[float, np.ndarray, bool]:
     """Scale and offset at which an object's outline reaches the frame's edge, +-1.
 
-    Args:
-        points: `[N, 3]`, turned as the object is to be.
-        focal_mm: see `camera_distance`.
-
-    Returns:
-        `scale`; `offset [3]` across the view axis, to be added after; and whether the
-        outline then reaches the frame to 1 %, in front of the camera.
+    `points` are `[N, 3]`, turned as the object is to be. The offset `[3]`, across the
+    view axis, is to be added after scaling. Returns also whether the outline then
+    reaches the frame to 1 %, in front of the camera.
     """
     for damping, steps in ((1.0, 30), (0.3, 200)):  # elongated objects need damping
         scale, offset = 0.5, np.zeros(3)

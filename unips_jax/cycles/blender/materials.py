@@ -218,19 +218,15 @@ def build(
     maps: dict[str, str] | None = None,
     uniform: dict[str, Any] | None = None,
 ) -> Any:
-    """Makes a material.
+    """Makes a `bpy` material for a mesh.
 
     Args:
-        mesh: what it is for.
         category: a key of `CATEGORIES`.
         seed: of a procedural material.
         maps: picture files for some of `baseColor`, `roughness`, `metal` instead, or
             `packed`: roughness in green and metal in blue, as in glTF.
         uniform: values of the Principled BSDF's inputs instead, or `{"diffuse": RGB}`
             for a Lambertian surface.
-
-    Returns:
-        A `bpy` material.
     """
     material = bpy.data.materials.new(category or "material")
     material.use_nodes = True

@@ -19,15 +19,9 @@ Generator = np.random.Generator
 
 
 def build(kind: str = "", seed: int = 0, file: str = "") -> Any:
-    """Makes a mesh.
+    """Makes a `bpy` mesh: of a key of `KINDS`, "sphere", or a file (see `read_mesh`).
 
-    Args:
-        kind: a key of `KINDS`, or "sphere".
-        seed: of the shape.
-        file: a mesh file instead; see `read_mesh`.
-
-    Returns:
-        A `bpy` mesh; those made here are shaded smoothly but for sharp edges.
+    Those made here are shaded smoothly but for sharp edges.
     """
     if file:
         return read_mesh(file)

@@ -43,14 +43,9 @@ class Studio:
         )
 
     def build(self, shape: dict[str, Any], material: dict[str, Any]) -> int:
-        """Starts an empty file with one object in it.
+        """Starts an empty file with one object in it; returns how many vertices it has.
 
-        Args:
-            shape: see `shapes.build`.
-            material: see `materials.build`.
-
-        Returns:
-            Number of its vertices.
+        See `shapes.build` and `materials.build`.
         """
         bpy.ops.wm.read_factory_settings(use_empty=True)
         scene = bpy.context.scene
@@ -82,12 +77,8 @@ class Studio:
     def place(self, rotation: list[float], focal_mm: float | None) -> bool:
         """Turns the object and moves it so that its outline reaches the frame's edge.
 
-        Args:
-            rotation: a quaternion, w first.
-            focal_mm: of a frame of 36 mm; None for an orthographic camera.
-
-        Returns:
-            Whether that was possible; see `framing.fit`.
+        `rotation` is a quaternion, w first. Returns whether that was possible; see
+        `framing.fit`.
         """
         turned = self.points @ np.array(Quaternion(rotation).to_matrix()).T
         camera = bpy.context.scene.camera

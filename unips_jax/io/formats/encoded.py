@@ -32,7 +32,7 @@ class Damaged(Exception):  # noqa: N818
 class Encoded:
     """What a file's header says, before its pixels are decoded."""
 
-    format: str  # its name
+    format: str
     height: int  # rows, as stored
     width: int  # columns, as stored
     channels: int  # as stored, alpha included
