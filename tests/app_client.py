@@ -1,5 +1,6 @@
 """The application served in this process, and what a page asks of it."""
 
+import asyncio
 import contextlib
 import dataclasses
 import http.client
@@ -7,13 +8,22 @@ import json
 import threading
 import time
 import urllib.parse
+from pathlib import Path
 
+import cv2
+import numpy as np
 import uvicorn
 
+from unips_jax.app import work
+from unips_jax.app.limits import Limits
 from unips_jax.app.objects import opened
 from unips_jax.app.server import application, listening
+from unips_jax.errors import InputError
+from unips_jax.io.images import read_image
 
 PATIENCE_S = 200  # several processes may share two cores
+SAMPLE = Path(__file__).parents[1] / "unips_jax/assets/sample/obj000.data"
+LIMITS = Limits(file_bytes=200_000, object_bytes=1_500_000, files=12, objects=3)
 
 
 @dataclasses.dataclass
@@ -107,3 +117,57 @@ def served(results, limits):
             server.should_exit = True
             thread.join(30)
             assert not thread.is_alive()
+
+
+def photographs(count=4, size=(64, 48)):
+    """PNGs of the sample, small, with a black background."""
+    made = {}
+    for index in range(count):
+        image = cv2.resize(read_image(SAMPLE / f"L_0{index}.png"), size)
+        made[f"{index}.png"] = cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+    return made
+
+
+def drawn(inside):
+    mask = np.zeros((48, 64), np.uint8)
+    mask[10:30, 10:inside] = 255
+    return cv2.imencode(".png", mask)[1].tobytes()
+
+
+class Pretended:
+    """A worker in this process: reads photographs, and pretends to estimate."""
+
+    hold = threading.Event()
+    running = 0
+    calls: list = []
+
+    def __init__(self, memory):
+        pass
+
+    async def call(self, function, *arguments, report=None, seconds=None):
+        if function is work.warm:
+            return None
+        if function is not work.estimate:
+            return await asyncio.to_thread(function, *arguments, report=report)
+        Pretended.calls.append(arguments)
+        Pretended.running += 1
+        assert Pretended.running == 1  # one at a time
+        try:
+            report("normals", 0.5)
+            while not Pretended.hold.is_set():
+                await asyncio.sleep(0.01)
+            target = arguments[1]
+            if "broken" in target.name:
+                raise InputError(f"{arguments[0].folder / '1.png'}: expected this")
+            target.mkdir()
+            (target / "normals.json").write_text("{}")
+            (target / "view.html").write_text("<p>seen</p>")
+            return []
+        finally:
+            Pretended.running -= 1
+
+    def stop(self):
+        pass
+
+    def close(self):
+        pass

@@ -1,5 +1,6 @@
 """Fixtures that several test files share."""
 
+import contextlib
 import os
 from importlib.metadata import version
 from pathlib import Path
@@ -77,3 +78,25 @@ def calls(network_calls, monkeypatch):
 
     monkeypatch.setattr(writing, "write_sheet", lambda *args, **options: None)
     return network_calls
+
+
+@pytest.fixture
+def opening(tmp_path, monkeypatch):
+    """Opens an application that pretends to estimate, again and again on one folder."""
+    import app_client
+
+    import unips_jax.app.desk as desk
+
+    monkeypatch.setattr(desk, "Worker", app_client.Pretended)
+    monkeypatch.setattr(desk, "_SETTLED_S", 0.05)
+    app_client.Pretended.hold.set()
+    app_client.Pretended.calls.clear()
+    with contextlib.ExitStack() as there:
+
+        def open_client():
+            there.close()
+            served = app_client.served(tmp_path / "results", app_client.LIMITS)
+            return there.enter_context(served)
+
+        open_client.close = there.close
+        yield open_client

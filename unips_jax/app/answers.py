@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import shutil
 import zipfile
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from unips_jax.io.results import RECORD
 
 _JSON_BYTES = 100_000
 _FULL = (28, 122)  # ENOSPC, EDQUOT
+_ROOM = 300_000_000  # bytes of the disk that stay free
 
 
 class Refused(Exception):
@@ -86,6 +88,12 @@ async def store_body(request: Request, path: Path, size: int, stalled_s: float) 
             file.write(part)
     if length != size:
         raise Refused(400, "lost")
+
+
+def require_room(folder: Path, size: int = 0) -> None:
+    """Refuses what would fill the disk."""
+    if shutil.disk_usage(folder).free < size + _ROOM:
+        raise Refused(507, "disk_full")
 
 
 def zipped(item: Object) -> Path:

@@ -3,7 +3,6 @@
 import asyncio
 import dataclasses
 import hmac
-import shutil
 import time
 from collections.abc import Callable
 from importlib import resources
@@ -22,11 +21,12 @@ from unips_jax.app.answers import (
     file_answer,
     file_in,
     json_of,
+    require_room,
     store_body,
-    zipped,
 )
 from unips_jax.app.desk import Desk
 from unips_jax.app.objects import OVER, Object, Photograph, clean, unused
+from unips_jax.app.saving import Saving
 from unips_jax.app.shown import short, whole
 from unips_jax.app.sorting import use
 from unips_jax.errors import InputError
@@ -36,13 +36,6 @@ from unips_jax.io.selection import SUFFIXES
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _MASK_BYTES = 8_000_000
-_ROOM = 300_000_000  # bytes of the disk that stay free
-_VIEW = {  # a result's page: its own scripts, and nothing of ours
-    "x-frame-options": "SAMEORIGIN",
-    "content-security-policy": "sandbox allow-scripts allow-downloads; "
-    "default-src 'none'; img-src data: blob:; script-src 'unsafe-inline'; "
-    "style-src 'unsafe-inline'; frame-ancestors 'self'",
-}
 
 
 class Api:
@@ -74,8 +67,7 @@ class Api:
                     ("POST", "/cancel", self.cancel),
                     ("POST", "/again", self.again),
                     ("POST", "/remove", self.remove),
-                    ("GET", "/results/{name}", self.result),
-                    ("GET", "/zip/{name}", self.zip),
+                    *Saving(self._desk).routes(),
                 )
             ),
             Route(
@@ -169,8 +161,7 @@ class Api:
         total = sum(p.bytes for p in item.photographs) + size
         if total > limits.object_bytes:
             raise Refused(413, "too_large_together", most=limits.object_bytes // 10**9)
-        if shutil.disk_usage(item.folder).free < size + _ROOM:
-            raise Refused(507, "disk_full")
+        require_room(item.folder, size)
 
     async def use(self, request: Request, item: Object) -> Response:
         """`{"file": name, "use": bool}`: uses a photograph, or sets it aside."""
@@ -270,23 +261,6 @@ class Api:
         item.removed = 0.0
         item.save()
         return JSONResponse({})
-
-    async def result(self, request: Request, item: Object) -> Response:
-        """A file of the results; ?save: to be stored."""
-        name = request.path_params["name"]
-        path = file_in(Path(item.target), name) if item.state == "done" else None
-        headers = _VIEW if name.endswith(".html") else {}
-        saved = f"{clean(item.name, longest=60)}-{name}"
-        return file_answer(
-            path, saved if "save" in request.query_params else None, headers
-        )
-
-    async def zip(self, request: Request, item: Object) -> Response:
-        """All results in one file."""
-        if item.state != "done":
-            raise Refused(404, "gone")
-        path = await asyncio.to_thread(zipped, item)
-        return file_answer(path, f"{Path(item.target).name}.zip")
 
 
 def _require_draft(item: Object) -> None:

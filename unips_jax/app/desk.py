@@ -8,9 +8,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from unips_jax.app import work
+from unips_jax.app import exports, work
 from unips_jax.app.limits import Limits
-from unips_jax.app.objects import Object, Objects, Photograph
+from unips_jax.app.objects import Object, Objects, Photograph, clean
 from unips_jax.app.sorting import chosen, sort_out, take
 from unips_jax.app.worker import Worker
 from unips_jax.errors import InputError
@@ -248,6 +248,24 @@ class Desk:
             item.seconds = time.monotonic() - began
             with contextlib.suppress(InputError):  # a full disk: memory has it
                 item.save()
+
+    async def export(self, item: Object, wanted: exports.Wanted) -> dict[str, Any]:
+        """Makes a file for a purpose from an object's results; see `exports.export`.
+
+        Raises:
+            InputError: in words that name no folder of this machine.
+        """
+        results = Path(item.target)
+        name = clean(item.name, longest=60) or "object"
+        transfer = (item.found or {}).get("transfer", "srgb")
+        try:
+            return await self._gathering.call(
+                *(exports.export, chosen(item), results, item.exports, name, wanted),
+                *(transfer, self.limits.pixels),
+                seconds=self.limits.gathering_s,
+            )
+        except InputError as error:
+            raise InputError(without_folder(str(error), results)) from None
 
     async def close(self) -> None:
         """Ends all; what was not done goes on with the next server."""

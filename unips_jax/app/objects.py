@@ -1,7 +1,7 @@
 """Objects: each is a folder on disk, which says all that is known of it.
 
     RESULTS/NAME-DATE/      what `unips estimate` writes
-    RESULTS/.app/ID/        object.json, photographs/, pictures/, drawn.png
+    RESULTS/.app/ID/        object.json, photographs/, pictures/, exports/, drawn.png
     RESULTS/.app/lock       held while a server uses RESULTS
 
 IDs are unguessable: who does not know an object's can't reach it.
@@ -96,6 +96,11 @@ class Object:
     def pictures(self) -> Path:
         """Folder of thumbnails and of the mask that was found."""
         return self.folder / "pictures"
+
+    @property
+    def exports(self) -> Path:
+        """Folder of files for a purpose, made from the results."""
+        return self.folder / "exports"
 
     @property
     def drawn(self) -> Path:

@@ -15,7 +15,7 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -29,8 +29,9 @@ from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap, read_numbers
 from unips_jax.io.record import print_line
 from unips_jax.io.results import appearing_at_once, check_target, results_of
+from unips_jax.surface.archive import archive
 from unips_jax.surface.depth_files import read_depth
-from unips_jax.surface.exports import Export, Scale, archive, blender_model, printable
+from unips_jax.surface.exports import Scale, blender_model, printable
 from unips_jax.surface.mesh import check_mesh_file
 from unips_jax.surface.outputs import (
     MeshFormat,
@@ -42,6 +43,7 @@ from unips_jax.surface.outputs import (
 )
 
 RECORD = "surface.json"
+Export = Literal["blender", "print", "archive"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,6 +71,7 @@ class Options:
         mesh: also write a mesh.
         max_faces: simplify the mesh to this many triangles.
         export: also files for a purpose, one or more of blender, print, archive.
+        directx: green is down in the normal map for Blender and games.
         cut: leave out triangles that range over more than this many pixels in depth.
     """
 
@@ -88,6 +91,7 @@ class Options:
     max_faces: int | None = None
     cut: float = 20.0
     export: tuple[Export, ...] = ()
+    directx: bool = False
 
 
 @command
@@ -181,6 +185,7 @@ def _exports(
             name=name,
             colors=colors,
             max_faces=options.max_faces,
+            directx=options.directx,
         )
         write_whole(place / f"{name}.glb", data, sync=False)
     if "print" in options.export:

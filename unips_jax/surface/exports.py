@@ -1,15 +1,13 @@
-"""A surface for a purpose: a model for Blender and games, a solid to print, an archive.
+"""A surface for a purpose: a model for Blender and games, a solid to print.
 
 The model (`.glb`) is a coarse grid of the surface with normals, texture coordinates and
 a material: base colour, and a normal map that gives back every pixel's normal. It is in
-metres; without a known scale its longest side is 1 m. The solid (`.stl`) stands on a
-base, is watertight, and in millimetres; without a known scale its longest side is
-100 mm.
+metres; without a known scale its longest side is 1 m. Green is up in its normal map, as
+the format wants; or down, for engines that take DirectX's maps as they are. The solid
+(`.stl`) stands on a base, is watertight, and in millimetres; without a known scale its
+longest side is 100 mm.
 """
 
-import io
-import zipfile
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -21,39 +19,8 @@ from unips_jax.io.images import encode_image
 from unips_jax.surface.gltf import GltfMesh, encode_glb
 from unips_jax.surface.mesh import METRES, Mesh, mesh_of_depth
 
-Export = Literal["blender", "print", "archive"]
-
 _FACES = 100_000
 _BASE = 0.04  # of the longest side
-
-_WHAT = {
-    ".glb": "the surface with a material, for Blender and games, in metres",
-    ".stl": "the surface as a solid on a base, to print, in millimetres",
-    "normals.png": "normal map, 16 bits: x right, y up (OpenGL), z to the viewer",
-    "normals.npy": "the normals as an array [H, W, 3], float32, 0: no surface",
-    "normals.exr": "the normals as an image of floats",
-    "normals.mat": "the normals for MATLAB, key Normal_est",
-    "normals.json": "how the normals came about: photographs, weights, options",
-    "sheet.png": "photographs and normals on one sheet",
-    "mask.png": "where the object is",
-    "depth.exr": "depth, float32, away from the viewer; NaN: no surface",
-    "depth.png": "depth, 16 bits: 1 nearest, 65535 farthest, 0 no surface",
-    "height.png": "height for displacement, 16 bits: 65535 nearest",
-    "surface.json": "camera, unit and scale of the depth",
-    "mesh.glb": "the surface with the photographs' colours",
-    "mesh.ply": "the surface with the photographs' colours",
-    "mesh.obj": "the surface with the photographs' colours",
-    "view.html": "a page to look at all of it in a browser, without a network",
-    "lights.json": "each photograph's light; its conventions are in the file",
-    "lights.lp": "the lights' directions, as RTI software reads them",
-    "base_color.exr": "base colour, linear, up to one factor",
-    "base_color.png": "base colour, 16 bits, sRGB",
-    "relight.ptm": "a polynomial texture map, for RTI viewers",
-    "info.json": "the texture map for web pages, with plane_0.jpg to plane_5.jpg",
-    "confidence.exr": "spread of the normals in degrees; NaN: no surface",
-    "confidence.png": "spread of the normals, hundredths of degrees, 16 bits",
-    "unreliable.png": "white where the normals are not to be trusted",
-}
 
 
 class Scale(NamedTuple):
@@ -75,6 +42,8 @@ def blender_model(
     name: str,
     colors: np.ndarray | None = None,
     max_faces: int | None = None,
+    directx: bool = False,
+    longest_mm: float | None = None,
 ) -> tuple[bytes, dict[str, Any]]:
     """A `.glb` with normals, texture coordinates, base colour and normal map.
 
@@ -87,6 +56,8 @@ def blender_model(
         name: of the object.
         colors: `[H, W, 3]`, uint8, sRGB.
         max_faces: of the grid, 100,000 if not given.
+        directx: green is down in the normal map.
+        longest_mm: the object's longest side, instead of the scale.
     """
     height, width = depth.shape
     most = max_faces or _FACES
@@ -98,7 +69,7 @@ def blender_model(
     row, column = np.divmod(small.pixels, coarse[::step, ::step].shape[1])
     pixels = step * row * width + step * column
     points = _points(depth, pixels, scale)
-    points, facts = _sized(points, scale.unit, METRES.get(scale.unit), 1.0, "m")
+    points, facts = _sized(points, scale.unit, "m", longest_mm)
     # What the map is relative to, at the vertices and between them.
     smooth = _filled(normals)
     smooth = cv2.blur(smooth, (2 * step + 1, 2 * step + 1))
@@ -106,6 +77,7 @@ def blender_model(
     at = across.reshape(-1, 3)[pixels]
     tangents = np.concatenate([_tangents(at), np.ones((len(at), 1))], -1)
     places = np.stack([pixels % width + 0.5, pixels // width + 0.5], -1)
+    relative = _relative(_filled(normals), across)
     model = GltfMesh(
         points,
         small.faces,
@@ -113,14 +85,15 @@ def blender_model(
         tangents,
         places / [width, height],
         base_color=None if colors is None else encode_image(".png", _filled(colors)),
-        normal_map=encode_image(".png", _relative(_filled(normals), across)),
+        normal_map=encode_image(".png", _turned(relative, directx)),
     )
-    facts = {**facts, "faces": len(small.faces)}
+    up = "down (DirectX)" if directx else "up (OpenGL)"
+    facts = {**facts, "faces": len(small.faces), "green": up}
     return encode_glb(model, name=name, facts=facts), facts
 
 
 def printable(
-    depth: np.ndarray, scale: Scale = _UNKNOWN
+    depth: np.ndarray, scale: Scale = _UNKNOWN, *, longest_mm: float | None = None
 ) -> tuple[bytes, dict[str, Any]]:
     """A watertight `.stl` on a base; arguments and result as of `blender_model`.
 
@@ -131,8 +104,7 @@ def printable(
     top = _without_pinches(mesh_of_depth(_largest(depth), cut=None))
     _require_faces(top)
     points = _points(depth, top.pixels, scale)
-    known = METRES.get(scale.unit)
-    points, facts = _sized(points, scale.unit, known and 1000 * known, 100.0, "mm")
+    points, facts = _sized(points, scale.unit, "mm", longest_mm)
     count = len(points)
     below = points.copy()
     below[:, 2] = points[:, 2].min() - _BASE * np.ptp(points, axis=0).max()
@@ -147,22 +119,6 @@ def printable(
     faces = np.concatenate([top.faces, top.faces[:, ::-1] + count, walls])
     solid: Any = trimesh.Trimesh(np.concatenate([points, below]), faces, process=False)
     return solid.export(file_type="stl"), {**facts, "faces": len(faces)}
-
-
-def archive(name: str, files: list[Path]) -> bytes:
-    """A ZIP of files with the object's name in theirs, and a text on each."""
-    lines = [f"{name}: normals by unips_jax, and what follows from them.", ""]
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as packed:
-        for file in files:
-            own = file.name in (f"{name}.glb", f"{name}.stl")
-            title = file.name if own else f"{name}-{file.name}"
-            packed.write(file, f"{name}/{title}")
-            what = _WHAT.get(file.suffix if own else file.name)
-            if what is not None:
-                lines.append(f"{title}: {what}")
-        packed.writestr(f"{name}/{name}-README.txt", "\n".join(lines) + "\n")
-    return data.getvalue()
 
 
 def _require_faces(mesh: Mesh) -> None:
@@ -183,15 +139,21 @@ def _points(depth: np.ndarray, pixels: np.ndarray, scale: Scale) -> np.ndarray:
 
 
 def _sized(
-    points: np.ndarray, unit: str, factor: float | None, side: float, of: str
+    points: np.ndarray, unit: str, of: Literal["m", "mm"], longest_mm: float | None
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Points around 0 in a unit of the file, and what its size follows from."""
     points = points - (points.min(0) + points.max(0)) / 2
     longest = float(np.ptp(points, axis=0).max())
-    from_what = f"from the scale given, in {unit}"
-    if factor is None:
+    if longest_mm is not None:
+        factor = longest_mm * (0.001 if of == "m" else 1) / longest
+        from_what = f"the longest side is given, {longest_mm:g} mm"
+    elif unit in METRES:
+        factor = METRES[unit] * (1 if of == "m" else 1000)
+        from_what = f"from the scale given, in {unit}"
+    else:
+        side = 1 if of == "m" else 100
         factor = side / longest
-        from_what = f"scale unknown: the longest side is {side:g} {of}"
+        from_what = f"scale unknown: the longest side is {side} {of}"
     facts = {"unit": of, "longest_side": longest * factor, "size": from_what}
     return points * factor, facts
 
@@ -233,6 +195,11 @@ def _relative(normals: np.ndarray, around: np.ndarray) -> np.ndarray:
     inside = np.stack([(normals * axis).sum(-1) for axis in frame], -1)
     inside[..., 2] = np.maximum(inside[..., 2], 0.02)
     return np.rint((_unit(inside) + 1) * 127.5).astype(np.uint8)
+
+
+def _turned(normal_map: np.ndarray, directx: bool) -> np.ndarray:
+    """With green down, for DirectX."""
+    return np.where([False, directx, False], 255 - normal_map, normal_map)
 
 
 def _largest(depth: np.ndarray) -> np.ndarray:

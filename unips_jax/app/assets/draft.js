@@ -190,12 +190,20 @@ function showAdvice() {
   advice(byId("advice"), findings.filter((finding) => finding.kind !== "no object")); // the mask's step says so
 }
 
+/** Where the light is, of a finding that measured it, and the side opposite. */
+function sides({ figures }) {
+  if (figures?.azimuth === undefined) return {};
+  const side = Math.round(figures.azimuth / 45);
+  const name = (index) => t(`side_${((index % 8) + 8) % 8}`);
+  return { side: name(side), other: name(side + 4) };
+}
+
 /** What was found wrong with the photographs. */
 export function advice(list, findings) {
   fill(list, [current(), findings], () =>
     findings.map((finding) => {
       const key = `finding_${finding.kind}`;
-      const words = t(key, { files: some(finding.files) });
+      const words = t(key, { files: some(finding.files), ...sides(finding) });
       return el("li", { textContent: words === key ? finding.text : words });
     })
   );

@@ -3,6 +3,7 @@
 import { request } from "./api.js";
 import { byId, el, fill, message } from "./dom.js";
 import * as draft from "./draft.js";
+import * as exports from "./exports.js";
 import { hover } from "./hover.js";
 import * as mask from "./mask.js";
 import * as result from "./result.js";
@@ -154,6 +155,7 @@ function build() {
   });
   uploads.dropZone(byId("first-drop"), (files, name) => attempt(() => begin(false, files, name)));
   draft.build(poll);
+  exports.build();
   byId("example").addEventListener("click", () => attempt(() => begin(true)));
   byId("cancel").addEventListener("click", () => attempt(() => request("POST", `/objects/${object.id}/cancel`)));
   for (const button of document.querySelectorAll("[data-do=again]")) {

@@ -2,6 +2,7 @@
 
 import { byId, el, fill } from "./dom.js";
 import { advice } from "./draft.js";
+import * as exports from "./exports.js";
 import { bytes, current, duration, t } from "./text.js";
 
 const KINDS = [
@@ -70,6 +71,7 @@ export function showDone(object) {
       return [el("dt", { textContent: t(`file_${kind}`) }), el("dd", {}, ...links)];
     });
   });
+  exports.show(object);
   advice(byId("done-advice"), object.findings);
 }
 

@@ -1,0 +1,185 @@
+"""Files that the application gets: photographs, masks, bounds."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="starlette is not installed")
+pytest.importorskip("uvicorn", reason="uvicorn is not installed")
+
+from app_client import Pretended, drawn, photographs
+
+from unips_jax.io.images import read_image
+
+SAMPLE = Path(__file__).parents[2] / "unips_jax/assets/sample/obj000.data"
+
+
+def of_state(shown, state):
+    return {p["name"]: p["why"] for p in shown["photographs"] if p["state"] == state}
+
+
+def test_one_bad_file_among_eight_is_set_aside(opening):
+    client = opening()
+    key = client.post("/objects")["id"]
+    sent = photographs(5)
+    sent["cut.png"] = sent["0.png"][:3000]
+    sent["large.png"] = photographs(1, (80, 48))["0.png"]
+    black = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint16))[1].tobytes()
+    sent["normal_7.png"] = sent["4.png"]  # a map by its name; here a photograph
+    sent["black.png"] = black
+    for name, data in sent.items():
+        assert client.put(key, name, data).status == 200
+    shown = client.ready(key)
+    aside = of_state(shown, "aside")
+    assert aside == {
+        "cut.png": "damaged",
+        "large.png": "size",
+        "black.png": "black",
+    }
+    details = {p["name"]: p["detail"] for p in shown["photographs"]}
+    assert details["large.png"] == "80 x 48"
+    assert shown["found"]["names"] == [*map("{}.png".format, range(5)), "normal_7.png"]
+    assert shown["found"]["mask"] == "suggested" and shown["problem"] == ""
+    client.post(f"/objects/{key}/estimate", name="thing", options={})
+    client.state(key, "done")
+    chosen = Pretended.calls[-1][0]
+    assert len(chosen.photographs) == 6 and set(chosen.aside) == set(aside)
+
+
+def test_photographs_are_left_out_and_taken_again(opening):
+    client = opening()
+    key = client.post("/objects")["id"]
+    for name, data in photographs(3).items():
+        client.put(key, name, data)
+    assert len(client.ready(key)["found"]["names"]) == 3
+    client.post(f"/objects/{key}/use", file="1.png", use=False)
+    shown = client.ready(key)
+    assert shown["found"]["names"] == ["0.png", "2.png"]
+    assert of_state(shown, "aside") == {"1.png": "you"}
+    client.post(f"/objects/{key}/use", file="1.png", use=True)
+    assert len(client.ready(key)["found"]["names"]) == 3
+
+
+def test_a_second_mask_is_set_aside_and_can_be_chosen(opening):
+    client = opening()
+    key = client.post("/objects")["id"]
+    for name, data in photographs(2).items():
+        client.put(key, name, data)
+    for name, columns in (("mask.png", 20), ("other.mask.png", 40)):
+        mask = np.zeros((48, 64), np.uint8)
+        mask[8:40, 10:columns] = 255
+        client.put(key, name, cv2.imencode(".png", mask)[1].tobytes())
+    shown = client.ready(key)
+    assert of_state(shown, "aside") == {"other.mask.png": "second_mask"}
+    assert shown["found"]["mask"] == "file"
+    client.post(f"/objects/{key}/use", file="other.mask.png", use=True)
+    shown = client.ready(key)
+    assert of_state(shown, "mask") == {"other.mask.png": ""}
+    answer = client.ask("GET", f"/api/objects/{key}/pictures/mask.png")
+    mask = cv2.imdecode(np.frombuffer(answer.content, np.uint8), 0)
+    assert 900 < (mask > 127).sum() <= 32 * 30  # less what is black everywhere
+
+
+def test_equal_names_all_stay(opening):
+    client = opening()
+    key = client.post("/objects")["id"]
+    sent = [*photographs(6).values()]
+    names = ["a b.png", "a_b.png", "A_B.png", "x/a b.png", "é" * 200 + ".png", "e.png"]
+    for name, data in zip(names, sent, strict=True):
+        assert client.put(key, name, data).status == 200
+    shown = client.ready(key)
+    assert len(shown["found"]["names"]) == len({*shown["found"]["names"]}) == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "code"),
+    [
+        ("run.exe", b"0", "not_an_image"),
+        ("../../evil.py", b"0", "not_an_image"),
+        (".png", b"0", "not_an_image"),
+        ("a.png", b"0" * 200_001, "too_large"),
+        ("a.png", b"", "empty_file"),
+    ],
+)
+def test_each_refused_file_says_why(opening, name, data, code):
+    client = opening()
+    key = client.post("/objects")["id"]
+    assert client.put(key, name, data).json()["code"] == code
+    assert client.get(f"/objects/{key}")["photographs"] == []
+
+
+def test_uploads_are_bounded_together(opening, monkeypatch):
+    client = opening()
+    key = client.post("/objects")["id"]
+    for index in range(7):
+        client.put(key, f"{index}.png", b"0" * 200_000)
+    answer = client.put(key, "7.png", b"0" * 190_000)
+    assert answer.json()["code"] == "too_large_together"
+    for index in range(5):
+        client.put(key, f"small{index}.png", b"0")
+    assert client.put(key, "more.png", b"0").json()["code"] == "too_many"
+    for _ in range(2):
+        client.post("/objects")
+    answer = client.refused("/objects")
+    assert answer == {"code": "too_many_objects", "values": {"most": 3}}
+
+
+def test_a_full_disk_is_one_line(opening, monkeypatch):
+    client = opening()
+    key = client.post("/objects")["id"]
+    monkeypatch.setattr("unips_jax.app.answers._ROOM", 10**18)
+    answer = client.put(key, "a.png", b"0")
+    assert answer.status == 507 and answer.json()["code"] == "disk_full"
+    monkeypatch.undo()
+    monkeypatch.setattr(
+        "pathlib.Path.open",
+        lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")),
+    )
+    answer = client.put(key, "b.png", b"0")
+    assert answer.status == 507 and answer.json()["code"] == "disk_full"
+    monkeypatch.undo()
+    assert client.get(f"/objects/{key}")["photographs"] == []
+
+
+def test_the_mask_is_kept_when_photographs_are_added(opening):
+    client = opening()
+    key = client.post("/objects", example=True)["id"]
+    client.ready(key)
+    assert client.draw(key, "drawn", b"no").status == 415
+    assert client.draw(key, "drawn", drawn(40)).status == 200
+    client.put(key, "more.png", photographs(1, (192, 192))["0.png"])
+    shown = client.ready(key)
+    assert shown["mask"] == "drawn" and len(shown["found"]["names"]) == 9
+    answer = client.ask("GET", f"/api/objects/{key}/pictures/drawn.png")
+    assert answer.content == drawn(40)
+
+
+def test_a_box_is_cut_out(opening):
+    client = opening()
+    key = client.post("/objects", example=True)["id"]
+    client.ready(key)
+    client.post(f"/objects/{key}/cut", box=[4, 4, 188, 188])
+    answer = client.ask("GET", f"/api/objects/{key}/pictures/cut.png")
+    mask = cv2.imdecode(np.frombuffer(answer.content, np.uint8), 0) > 127
+    truth = read_image(SAMPLE / "mask.png")[..., 0] > 127
+    assert (mask & truth).sum() / (mask | truth).sum() > 0.85
+    assert client.refused(f"/objects/{key}/cut", box=[1, 2])["code"] == "failed"
+
+
+def test_a_click_drops_a_piece_and_takes_it_again(opening):
+    client = opening()
+    key = client.post("/objects", example=True)["id"]
+    client.ready(key)
+    mask = np.zeros((192, 192), np.uint8)
+    mask[40:150, 40:150] = 255
+    mask[60:70, 160:170] = 255
+    data = cv2.imencode(".png", mask)[1].tobytes()
+    client.draw(key, "drawn", data)
+    client.post(f"/objects/{key}/piece", point=[165, 65])
+    answer = client.ask("GET", f"/api/objects/{key}/pictures/cut.png")
+    found = cv2.imdecode(np.frombuffer(answer.content, np.uint8), 0)
+    mask[60:70, 160:170] = 0
+    assert (found == mask).all()
+    assert client.refused(f"/objects/{key}/piece", point="x")["code"] == "failed"

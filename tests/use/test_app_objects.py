@@ -1,0 +1,84 @@
+"""The application's objects: folders on disk, and their names."""
+
+import os
+import re
+import time
+
+import pytest
+
+from unips_jax.app.objects import Photograph, clean, opened, unused
+from unips_jax.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("name", "cleaned"),
+    [
+        ("../../a b/../x y.png", "x_y.png"),
+        ("..\\..\\y.png", "y.png"),
+        (".hidden.png", "hidden.png"),
+        ("ä" * 300 + ".jpeg", "ä" * 47 + ".jpeg"),
+        ("𝔘" * 300 + ".jpeg", None),
+        ("photo", "photo"),
+    ],
+)
+def test_names_are_cleaned(name, cleaned):
+    found = clean(name)
+    assert cleaned is None or found == cleaned
+    assert len(found.encode()) <= 100 and "/" not in found
+
+
+def test_equal_names_get_numbers():
+    assert unused("a.png", set()) == "a.png"
+    assert unused("a.png", {"A.png", "a-2.png"}) == "a-3.png"
+
+
+def test_objects_are_what_is_on_disk(tmp_path):
+    with opened(tmp_path, days=30) as objects:
+        item = objects.begin()
+        (item.inbox / "a.png").write_bytes(b"1")
+        item.photographs.append(Photograph("a.png", "ä.png", 1, "used"))
+        item.drawn.write_bytes(b"mask")
+        item.state, item.mask, item.options = "running", "drawn", {"mesh": False}
+        item.save()
+        damaged = objects.begin()
+        (damaged.folder / "object.json").write_text("{")
+        with pytest.raises(InputError, match="another `unips app` uses this folder"):
+            with opened(tmp_path, days=30):
+                pass
+    assert (tmp_path / ".app").stat().st_mode & 0o77 == 0
+    with opened(tmp_path, days=30) as objects:
+        (found,) = objects.all()
+        assert found.state == "interrupted"  # a server ended during its estimate
+        assert found.photographs == item.photographs and found.mask == "drawn"
+        copy = objects.again(found)
+        assert copy.id != found.id and copy.state == "draft"
+        assert copy.options == {"mesh": False}
+        assert (copy.inbox / "a.png").read_bytes() == b"1"
+        assert copy.drawn.read_bytes() == b"mask"
+        copy.drawn.write_bytes(b"other")
+        assert found.drawn.read_bytes() == b"mask"
+
+
+def test_targets_are_new_folders(tmp_path):
+    with opened(tmp_path, days=30) as objects:
+        first = objects.target_for("my cat/..")
+        assert re.fullmatch(r"object-\d{4}-\d\d-\d\d", first.name) or (
+            first.parent == tmp_path
+        )
+        first.mkdir()
+        second = objects.target_for("my cat/..")
+        assert second.name == f"{first.name}-2"
+
+
+def test_old_drafts_and_removed_objects_are_cleared(tmp_path):
+    with opened(tmp_path, days=30) as objects:
+        kept, old, removed, done = (objects.begin() for _ in range(4))
+        past = time.time() - 40 * 86_400
+        removed.removed, done.state = past, "done"
+        removed.save()
+        done.save()
+        for item in (old, done):
+            os.utime(item.folder / "object.json", (past, past))
+    with opened(tmp_path, days=30) as objects:
+        assert {item.id for item in objects.all()} == {kept.id, done.id}
+        assert not old.folder.exists() and not removed.folder.exists()

@@ -1,0 +1,154 @@
+"""A result's files for a purpose, made when its visitor asks for them."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unips_jax.app.work import Chosen
+from unips_jax.app.worker import Report
+from unips_jax.errors import InputError
+from unips_jax.io.color import Transfer, as_float
+from unips_jax.io.images import read_image_file
+
+SUFFIXES = {"blender": ".glb", "print": ".stl", "archive": ".zip"}
+"""Of each purpose's file."""
+_MOST_MM = 1e6
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """What a visitor asks for.
+
+    Attributes:
+        purpose: of `SUFFIXES`.
+        directx: green is down in the model's normal map.
+        longest_mm: the object's longest side; None if it is not known.
+    """
+
+    purpose: str
+    directx: bool = False
+    longest_mm: float | None = None
+
+
+def wanted(asked: dict[str, Any]) -> Wanted:
+    """What JSON asks for.
+
+    Raises:
+        ValueError: if it asks for nothing that there is.
+    """
+    longest = asked.get("longest_mm")
+    if asked.get("purpose") not in SUFFIXES:
+        raise ValueError("no such purpose")
+    if longest is not None:
+        longest = float(longest)
+        if not (math.isfinite(longest) and 0 < longest <= _MOST_MM):
+            raise ValueError("no length")
+    return Wanted(asked["purpose"], asked.get("directx") is True, longest)
+
+
+def export(
+    chosen: Chosen,
+    results: Path,
+    place: Path,
+    name: str,
+    wanted: Wanted,
+    transfer: Transfer,
+    max_pixels: int,
+    *,
+    report: Report,
+) -> dict[str, Any]:
+    """Writes a file for a purpose, named as the object.
+
+    Args:
+        chosen: the photographs: the model has their mean colours where the results
+            have no base colour.
+        results: the object's folder of results.
+        place: folder for the file; one of its name is replaced.
+        name: of the object, fit for files.
+        wanted: the visitor's wishes.
+        transfer: how the photographs encode light.
+        max_pixels: of a photograph.
+        report: of progress.
+
+    Returns:
+        "file", its name, and what is known of its size.
+
+    Raises:
+        InputError: if results are gone or changed, or give no surface.
+    """
+    from unips_jax.io.normal_maps import read_normal_map
+    from unips_jax.io.record_schema import load_record
+    from unips_jax.io.results import RECORD, results_of
+    from unips_jax.surface.archive import archive
+    from unips_jax.surface.depth_files import read_depth
+    from unips_jax.surface.exports import Scale, blender_model, printable
+
+    report("exporting", 0.0)
+    place.mkdir(exist_ok=True)
+    file = place / f"{name}{SUFFIXES[wanted.purpose]}"
+    if not (results / RECORD).is_file():
+        raise InputError(f"{results}: expected results, found none there any more")
+    if wanted.purpose == "archive":
+        made = [f for f in place.glob(f"{name}.*") if f.suffix in (".glb", ".stl")]
+        data, facts = archive(name, [*results_of(results), *sorted(made)]), {}
+    else:
+        surface = load_record(results / RECORD).get("surface")
+        if not surface:
+            raise InputError(f"{results}: expected a surface, got normals alone")
+        scale = Scale(surface["focal_px"], surface["scale"], surface["unit"])
+        depth, longest = read_depth(results / "depth.exr"), wanted.longest_mm
+        if wanted.purpose == "print":
+            data, facts = printable(depth, scale, longest_mm=longest)
+        else:
+            normals = read_normal_map(results, as_stored=True).normals
+            data, facts = blender_model(
+                depth,
+                normals,
+                scale,
+                name=name,
+                colors=_colors(chosen, results, normals.shape, transfer, max_pixels),
+                directx=wanted.directx,
+                longest_mm=longest,
+            )
+    part = file.with_suffix(".part")
+    try:
+        part.write_bytes(data)
+        part.rename(file)
+    finally:
+        part.unlink(missing_ok=True)
+    return {"file": file.name, "bytes": len(data), **facts}
+
+
+def _colors(
+    chosen: Chosen,
+    results: Path,
+    shape: tuple[int, ...],
+    transfer: Transfer,
+    max_pixels: int,
+) -> np.ndarray:
+    """The results' base colour, else the photographs' mean: `[H, W, 3]`, uint8."""
+    from unips_jax.surface.outputs import photograph_colors
+
+    base_color = results / "base_color.png"
+    if base_color.is_file():
+        colors = photograph_colors(read_image_file(base_color).pixels, "srgb")
+    else:
+        mean = np.zeros(shape, np.float32)
+        for photograph in chosen.photographs:
+            file = read_image_file(chosen.folder / photograph, max_pixels=max_pixels)
+            _require(file.pixels.shape[:2] == shape[:2], results)
+            mean += as_float(file.pixels) / len(chosen.photographs)
+        colors = photograph_colors(mean, transfer)
+    _require(colors.shape == shape, results)
+    return colors
+
+
+def _require(same: bool, results: Path) -> None:
+    if not same:
+        raise InputError(
+            f"{results}: expected colours of the normals' size, got another; they are "
+            "not as they were estimated"
+        )

@@ -1,0 +1,55 @@
+"""All results in one file, with names that say whose they are, and a text on each."""
+
+import io
+import zipfile
+from pathlib import Path
+
+_WHAT = {
+    ".glb": "the surface with a material, for Blender and games, in metres",
+    ".stl": "the surface as a solid on a base, to print, in millimetres",
+    "normals.png": "normal map, 16 bits: x right, y up (OpenGL), z to the viewer",
+    "normals.npy": "the normals as an array [H, W, 3], float32, 0: no surface",
+    "normals.exr": "the normals as an image of floats",
+    "normals.mat": "the normals for MATLAB, key Normal_est",
+    "normals.json": "how the normals came about: photographs, weights, options",
+    "sheet.png": "photographs and normals on one sheet",
+    "mask.png": "where the object is",
+    "depth.exr": "depth, float32, away from the viewer; NaN: no surface",
+    "depth.png": "depth, 16 bits: 1 nearest, 65535 farthest, 0 no surface",
+    "height.png": "height for displacement, 16 bits: 65535 nearest",
+    "surface.json": "camera, unit and scale of the depth",
+    "mesh.glb": "the surface with the photographs' colours",
+    "mesh.ply": "the surface with the photographs' colours",
+    "mesh.obj": "the surface with the photographs' colours",
+    "view.html": "a page to look at all of it in a browser, without a network",
+    "lights.json": "each photograph's light; its conventions are in the file",
+    "lights.lp": "the lights' directions, as RTI software reads them",
+    "base_color.exr": "base colour, linear, up to one factor",
+    "base_color.png": "base colour, 16 bits, sRGB",
+    "relight.ptm": "a polynomial texture map, for RTI viewers",
+    "info.json": "the texture map for web pages, with plane_0.jpg to plane_5.jpg",
+    "confidence.exr": "spread of the normals in degrees; NaN: no surface",
+    "confidence.png": "spread of the normals, hundredths of degrees, 16 bits",
+    "unreliable.png": "white where the normals are not to be trusted",
+}
+
+
+def archive(name: str, files: list[Path]) -> bytes:
+    """A ZIP of files with the object's name in theirs, and a text on each.
+
+    Args:
+        name: of the object.
+        files: what goes into it.
+    """
+    lines = [f"{name}: normals by unips_jax, and what follows from them.", ""]
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as packed:
+        for file in files:
+            own = file.name in (f"{name}.glb", f"{name}.stl")
+            title = file.name if own else f"{name}-{file.name}"
+            packed.write(file, f"{name}/{title}")
+            what = _WHAT.get(file.suffix if own else file.name)
+            if what is not None:
+                lines.append(f"{title}: {what}")
+        packed.writestr(f"{name}/{name}-README.txt", "\n".join(lines) + "\n")
+    return data.getvalue()
