@@ -43,8 +43,8 @@ class Answer:
 class Client:
     """One browser's requests; answers with their cookies."""
 
-    def __init__(self, port):
-        self.port = port
+    def __init__(self, port, results):
+        self.port, self.results = port, results
         self.cookie = None
 
     def ask(self, method, path, body=None, headers=(), **query):
@@ -112,7 +112,7 @@ def served(results, limits):
         thread = threading.Thread(target=server.run, kwargs={"sockets": [ears]})
         thread.start()
         try:
-            yield Client(port)
+            yield Client(port, results)
         finally:
             server.should_exit = True
             thread.join(30)
@@ -134,6 +134,10 @@ def drawn(inside):
     return cv2.imencode(".png", mask)[1].tobytes()
 
 
+def silent(phase, share):
+    pass
+
+
 class Pretended:
     """A worker in this process: reads photographs, and pretends to estimate."""
 
@@ -144,7 +148,7 @@ class Pretended:
     def __init__(self, memory):
         pass
 
-    async def call(self, function, *arguments, report=None, seconds=None):
+    async def call(self, function, *arguments, report=silent, seconds=None):
         if function is work.warm:
             return None
         if function is not work.estimate:

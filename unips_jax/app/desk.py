@@ -257,11 +257,10 @@ class Desk:
         """
         results = Path(item.target)
         name = clean(item.name, longest=60) or "object"
-        transfer = (item.found or {}).get("transfer", "srgb")
         try:
             return await self._gathering.call(
                 *(exports.export, chosen(item), results, item.exports, name, wanted),
-                *(transfer, self.limits.pixels),
+                self.limits.pixels,
                 seconds=self.limits.gathering_s,
             )
         except InputError as error:

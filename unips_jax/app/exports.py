@@ -10,7 +10,7 @@ import numpy as np
 from unips_jax.app.work import Chosen
 from unips_jax.app.worker import Report
 from unips_jax.errors import InputError
-from unips_jax.io.color import Transfer, as_float
+from unips_jax.io.color import as_float
 from unips_jax.io.images import read_image_file
 
 SUFFIXES = {"blender": ".glb", "print": ".stl", "archive": ".zip"}
@@ -55,7 +55,6 @@ def export(
     place: Path,
     name: str,
     wanted: Wanted,
-    transfer: Transfer,
     max_pixels: int,
     *,
     report: Report,
@@ -69,7 +68,6 @@ def export(
         place: folder for the file; one of its name is replaced.
         name: of the object, fit for files.
         wanted: the visitor's wishes.
-        transfer: how the photographs encode light.
         max_pixels: of a photograph.
         report: of progress.
 
@@ -95,7 +93,8 @@ def export(
         made = [f for f in place.glob(f"{name}.*") if f.suffix in (".glb", ".stl")]
         data, facts = archive(name, [*results_of(results), *sorted(made)]), {}
     else:
-        surface = load_record(results / RECORD).get("surface")
+        record = load_record(results / RECORD)
+        surface = record.get("surface")
         if not surface:
             raise InputError(f"{results}: expected a surface, got normals alone")
         scale = Scale(surface["focal_px"], surface["scale"], surface["unit"])
@@ -109,7 +108,7 @@ def export(
                 normals,
                 scale,
                 name=name,
-                colors=_colors(chosen, results, normals.shape, transfer, max_pixels),
+                colors=_colors(chosen, results, record, normals.shape, max_pixels),
                 directx=wanted.directx,
                 longest_mm=longest,
             )
@@ -125,8 +124,8 @@ def export(
 def _colors(
     chosen: Chosen,
     results: Path,
+    record: dict[str, Any],
     shape: tuple[int, ...],
-    transfer: Transfer,
     max_pixels: int,
 ) -> np.ndarray:
     """The results' base colour, else the photographs' mean: `[H, W, 3]`, uint8."""
@@ -141,7 +140,7 @@ def _colors(
             file = read_image_file(chosen.folder / photograph, max_pixels=max_pixels)
             _require(file.pixels.shape[:2] == shape[:2], results)
             mean += as_float(file.pixels) / len(chosen.photographs)
-        colors = photograph_colors(mean, transfer)
+        colors = photograph_colors(mean, record.get("transfer", "srgb"))
     _require(colors.shape == shape, results)
     return colors
 

@@ -186,7 +186,8 @@ window.addEventListener("online", poll);
 // A file dropped beside its place would replace the page.
 for (const kind of ["dragover", "drop"]) window.addEventListener(kind, (event) => event.preventDefault());
 window.addEventListener("beforeunload", (event) => {
-  if (uploads.anyBusy() || mask.unsaved()) event.preventDefault();
+  if (uploads.anyBusy() || !mask.flush()) event.preventDefault();
 });
+window.addEventListener("pagehide", () => mask.flush()); // phones know no other
 hover(byId("hover"), "/assets/example.png").catch(() => {});
 document.body.dataset.ready = "true";

@@ -5,6 +5,7 @@ import { t } from "./text.js";
 
 const SIDE = 1024;
 const LEAST_SIDE = 640; // small pictures have a fine mask too
+const LEAVING_BYTES = 60000; // browsers send no more of a page that is gone
 const VEIL = "rgb(30 0 45 / 80%)";
 const LIGHT_VEIL = "rgb(30 0 45 / 25%)"; // while there is no mask at all
 
@@ -12,10 +13,12 @@ const byId = (name) => document.getElementById(name);
 const pixelsOf = (c) => c.getContext("2d", { willReadFrequently: true });
 const tell = (text) => (byId("mask-status").textContent = text);
 
-let canvas, context, picture, mask, tool, history, cursor, stroke, saved;
+let canvas, context, picture, mask, tool, history, cursor, stroke;
 let address = null; // of the object whose mask this is
 let inside = 0; // pixels
 let changes = 0; // that the server doesn't have yet
+let flushed = 0; // of these, sent by a page that was about to go
+let saving = null; // the save that runs
 let listeners = { changed: () => {} };
 
 async function image(source) {
@@ -69,19 +72,28 @@ function begin(base) {
 }
 
 export function forget() {
+  flush();
+  changes = 0;
   address = null;
   byId("mask-editor").dataset.ready = "false";
 }
 
 export const empty = () => inside === 0;
-export const unsaved = () => changes > 0;
 
 /** Resolves when the server has the mask. */
 export async function settled() {
-  while (changes) {
-    clearTimeout(saved);
-    await save();
-  }
+  while (changes) await save();
+}
+
+/** The page may go: sends what the server doesn't have; whether it can be relied on. */
+export function flush() {
+  if (!changes || !address || flushed === changes) return true;
+  const text = atob(picked().toDataURL("image/png").split(",")[1]);
+  const body = new Blob([Uint8Array.from(text, (c) => c.charCodeAt(0))]);
+  const keepalive = body.size < LEAVING_BYTES;
+  fetch(`/api${address}/mask?kind=${kind()}`, { method: "PUT", body, keepalive }).catch(() => {});
+  if (keepalive) flushed = changes;
+  return keepalive;
 }
 
 function clear() {
@@ -124,36 +136,49 @@ function fill(all) {
   edited();
 }
 
-/** After a change: shows it, and soon the server has it. */
+/** After a change: shows it, and sends it to the server at once. */
 function edited() {
   changes += 1;
+  flushed = 0;
   draw();
-  clearTimeout(saved);
-  saved = setTimeout(save, 500);
+  save();
   listeners.changed();
 }
 
-async function save() {
-  const upTo = changes;
-  const [base, kind] = [address, inside === 0 ? "empty" : inside === mask.width * mask.height ? "whole" : "drawn"];
+const kind = () => (inside === 0 ? "empty" : inside === mask.width * mask.height ? "whole" : "drawn");
+
+/** The mask as a picture: white on black. */
+function picked() {
   const sent = Object.assign(document.createElement("canvas"), { width: mask.width, height: mask.height });
   const c = sent.getContext("2d");
   c.fillRect(0, 0, sent.width, sent.height);
   c.drawImage(mask, 0, 0);
-  const blob = await new Promise((done) => sent.toBlob(done, "image/png"));
-  try {
-    await request("PUT", `${base}/mask?kind=${kind}`, blob);
-  } catch (problem) {
-    if (problem.status === 404 || problem.status === 409) return (changes = 0);
-    tell(t("mask_not_saved"));
-    await new Promise((done) => setTimeout(done, 1000));
-    clearTimeout(saved);
-    saved = setTimeout(save, 1000);
-    return undefined;
+  return sent;
+}
+
+/** One save after the other; what changes meanwhile follows. */
+function save() {
+  saving ??= send().finally(() => (saving = null));
+  return saving;
+}
+
+async function send() {
+  while (changes) {
+    const upTo = changes;
+    const [base, how] = [address, kind()];
+    const blob = await new Promise((done) => picked().toBlob(done, "image/png"));
+    try {
+      await request("PUT", `${base}/mask?kind=${how}`, blob);
+    } catch (problem) {
+      if (problem.status === 404 || problem.status === 409) return (changes = 0);
+      tell(t("mask_not_saved"));
+      await new Promise((done) => setTimeout(done, 1000));
+      continue;
+    }
+    if (base === address && changes === upTo) changes = 0;
+    listeners.changed();
   }
-  if (base === address) changes = changes === upTo ? 0 : changes;
-  listeners.changed();
-  return undefined;
+  return 0;
 }
 
 function choose(name) {
