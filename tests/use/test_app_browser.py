@@ -6,18 +6,13 @@ of `docs/app.md`, from the sample that ships.
 
 import io
 import json
-import os
-import select
 import signal
-import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
 import zipfile
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -25,52 +20,37 @@ pytest.importorskip("selenium", reason="selenium is not installed")
 pytest.importorskip("starlette", reason="starlette is not installed")
 pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 
-from browser import ABSENT, browser, messages, pixels
-from PIL import Image
+import trimesh
+from app_page import (
+    SIDE,
+    Server,
+    can_estimate,
+    complaints,
+    dark_share,
+    drawn,
+    fits,
+    object_share,
+    open_page,
+    press,
+    press_visible,
+    reload_at_once,
+    screenshot,
+    shown,
+    text,
+    until,
+    upload,
+    written,
+)
+from browser import ABSENT, browser, pixels
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
-from selenium.webdriver.support.ui import Select, WebDriverWait
+from selenium.webdriver.support.ui import Select
 from small_networks import SMALL_OURS, lively_network
 
-from unips_jax.io.images import read_image, write_image
 from unips_jax.weights import save_weights
 
 pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent")
-
-SAMPLE = Path(__file__).parents[2] / "unips_jax/assets/sample/obj000.data"
-SCREENSHOTS = os.environ.get("UNIPS_SCREENSHOTS")
-SIDE = 192 if SCREENSHOTS else 40
-PATIENCE_S = 500  # several processes may share two cores
-
-
-class Server:
-    """A running application."""
-
-    def __init__(self, results, *options):
-        self.results = results
-        self.process = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "unips_jax",
-                "app",
-                "--no-show",
-                "--results",
-                str(results),
-                *options,
-            ],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        ready, _, _ = select.select([self.process.stdout], [], [], PATIENCE_S)
-        assert ready, "the server does not start"
-        self.with_key = self.process.stdout.readline().split()[0]
-        self.address = self.with_key.partition("/?")[0]
-
-    def end(self, how=signal.SIGTERM):
-        self.process.send_signal(how)
-        self.process.wait(60)
-        self.process.stdout.close()
+STATUS = "export-status"
 
 
 @pytest.fixture(scope="module")
@@ -97,111 +77,6 @@ def photographs(tmp_path):
     return written(tmp_path, SIDE)
 
 
-def written(folder, side, indices=(0, 2, 4, 6)):
-    paths = []
-    for index in indices:
-        image = read_image(SAMPLE / f"L_0{index}.png")
-        small = cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
-        paths.append(folder / f"photo_{index}.png")
-        write_image(paths[-1], small)
-    return paths
-
-
-def until(driver, true):
-    return WebDriverWait(driver, PATIENCE_S, 0.2).until(lambda _: true())
-
-
-def open_page(driver, address):
-    driver.get(address)
-    ready = "return document.body.dataset.ready"
-    until(driver, lambda: driver.execute_script(ready) == "true")
-
-
-def shown(driver, name):
-    return driver.find_element(By.ID, name).is_displayed()
-
-
-def text(driver, name="object"):
-    return driver.find_element(By.ID, name).text
-
-
-def upload(driver, paths):
-    names = ("more-drop", "first-drop")
-    place = next(name for name in names if shown(driver, name))
-    chooser = driver.find_element(By.CSS_SELECTOR, f"#{place} input[type=file]")
-    chooser.send_keys("\n".join(map(str, paths)))
-
-
-def press(driver, name):
-    button = driver.find_element(By.ID, name)
-    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
-    button.click()
-
-
-def press_visible(driver, selector):
-    found = driver.find_elements(By.CSS_SELECTOR, selector)
-    button = next(b for b in found if b.is_displayed())
-    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
-    button.click()
-
-
-def can_estimate(driver):
-    button = driver.find_element(By.ID, "estimate")
-    return button.is_displayed() and button.is_enabled()
-
-
-def fits(driver):
-    """Whether nothing is wider than the screen."""
-    return driver.execute_script(
-        "return document.scrollingElement.scrollWidth <= innerWidth"
-    )
-
-
-def screenshot(driver, name):
-    if SCREENSHOTS:
-        time.sleep(1)
-        data = io.BytesIO(driver.get_screenshot_as_png())
-        with Image.open(data) as image:
-            small = image.convert("RGB").resize(
-                (900, 900 * image.height // image.width)
-            )
-            small.save(Path(SCREENSHOTS) / name, quality=85)
-
-
-def complaints(driver, *expected):
-    """What the page said in the console, less that we read its picture."""
-    known = ("willReadFrequently", *expected)
-    return [m for m in messages(driver) if not any(text in m for text in known)]
-
-
-def drawn(driver):
-    """Waits until what has changed is on the screen."""
-    wait = "requestAnimationFrame(() => requestAnimationFrame(arguments[0]))"
-    driver.execute_async_script(wait)
-
-
-def object_share(driver):
-    """Share of the picture that the mask takes."""
-    editor = driver.find_element(By.ID, "mask-editor")
-    return float(editor.get_attribute("data-share"))
-
-
-def dark_share(driver):
-    """Share of the mask's picture that is veiled."""
-    canvas = driver.find_element(By.ID, "mask-canvas")
-    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
-    drawn(driver)
-    return driver.execute_script(
-        """const [canvas] = arguments, {width, height} = canvas;
-        const {data} = canvas.getContext("2d").getImageData(0, 0, width, height);
-        let dark = 0;
-        for (let at = 0; at < data.length; at += 4)
-            dark += Math.max(data[at], data[at + 1], data[at + 2]) < 110;
-        return dark / (width * height);""",
-        canvas,
-    )
-
-
 def test_from_photographs_to_a_lit_surface(server, photographs, tmp_path):
     note = tmp_path / "notes.txt"
     note.write_text("no photograph")
@@ -225,6 +100,7 @@ def test_from_photographs_to_a_lit_surface(server, photographs, tmp_path):
         press(driver, "estimate")
         until(driver, lambda: shown(driver, "done"))
         check_downloads(driver, server)
+        check_exports(driver, server)
         check_viewer(driver)
         screenshot(driver, "app-result.jpg")
         assert complaints(driver, "415") == []
@@ -275,6 +151,33 @@ def check_downloads(driver, server):
     assert columns[: SIDE // 3].sum() < 0 < columns[-SIDE // 3 :].sum()
 
 
+def check_exports(driver, server):
+    """Each is made by its button, and opened by a library."""
+    key = driver.execute_script("return location.hash.slice(1)")
+    files = {}
+    for purpose, name in (
+        ("blender", "object.glb"),
+        ("print", "object.stl"),
+        ("archive", "object.zip"),
+    ):
+        press_visible(driver, f"[data-export={purpose}]")
+        until(driver, lambda name=name: f"Saved: {name}" in text(driver, STATUS))
+        said = text(driver, STATUS)
+        assert ("its size is not known" in said.lower()) == (purpose != "archive")
+        address = f"{server.address}/api/objects/{key}/exports/{name}"
+        with urllib.request.urlopen(address) as answer:
+            files[purpose] = io.BytesIO(answer.read())
+    model = trimesh.load(files["blender"], file_type="glb", force="mesh")
+    assert model.extents.max() == pytest.approx(1)
+    assert model.visual.material.normalTexture.size == (SIDE, SIDE)
+    assert trimesh.load(files["print"], file_type="stl").is_watertight
+    packed = zipfile.ZipFile(files["archive"]).namelist()
+    assert {"object/object-normals.png", "object/object.glb"} <= {*packed}
+    driver.find_element(By.ID, "longest").send_keys("-5")
+    press_visible(driver, "[data-export=print]")
+    until(driver, lambda: "Expected a length above 0" in text(driver, STATUS))
+
+
 def check_viewer(driver):
     frame = driver.find_element(By.TAG_NAME, "iframe")
     driver.execute_script("arguments[0].scrollIntoView()", frame)
@@ -310,7 +213,6 @@ def test_a_reload_costs_nothing_and_results_are_run_again(stand_in, tmp_path):
         until(driver, lambda: can_estimate(driver))
         assert "8 Fotos mit 192 x 192 Pixeln" in text(driver) and fits(driver)
         press(driver, "mask-all")
-        time.sleep(1.5)  # it is sent half a second later; until then leaving warns
         press_visible(driver, "#thumbnails .x")
         until(driver, lambda: "von dir weggelassen" in text(driver, "aside"))
         until(driver, lambda: can_estimate(driver))
@@ -325,7 +227,6 @@ def test_a_reload_costs_nothing_and_results_are_run_again(stand_in, tmp_path):
         until(driver, lambda: shown(driver, "running") or shown(driver, "done"))
         assert fits(driver)
         driver.get("about:blank")
-        time.sleep(1)
         driver.get(address)
         until(driver, lambda: shown(driver, "done"))
         assert fits(driver) and "Ändern und neu berechnen" in text(driver)
@@ -338,6 +239,32 @@ def test_a_reload_costs_nothing_and_results_are_run_again(stand_in, tmp_path):
             driver, lambda: len(driver.find_elements(By.CSS_SELECTOR, "#list li")) == 2
         )
         assert "fertig" in text(driver, "list") and fits(driver)
+        assert complaints(driver) == []
+
+
+STROKE = """
+const canvas = document.getElementById("mask-canvas");
+const box = canvas.getBoundingClientRect();
+canvas.setPointerCapture = () => {};
+for (const [kind, x] of [["down", 0.1], ["move", 0.9], ["up", 0.9]])
+  canvas.dispatchEvent(new PointerEvent(`pointer${kind}`, {
+    pointerId: 1, bubbles: true,
+    clientX: box.left + x * box.width, clientY: box.top + 0.5 * box.height }))
+"""
+
+
+def test_what_was_drawn_just_before_a_reload_is_kept(stand_in, photographs):
+    with browser(1200, 1100) as driver:
+        open_page(driver, stand_in.address)
+        upload(driver, photographs)
+        until(driver, lambda: can_estimate(driver))
+        reload_at_once(driver, "document.getElementById('mask-clear').click()")
+        until(driver, lambda: "Show where the object" in text(driver, "missing"))
+        assert object_share(driver) == 0
+        press_visible(driver, "[data-mask-tool=add]")
+        reload_at_once(driver, STROKE)
+        until(driver, lambda: can_estimate(driver))
+        assert 0.02 < object_share(driver) < 0.2  # a band across the picture
         assert complaints(driver) == []
 
 

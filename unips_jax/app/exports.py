@@ -11,6 +11,7 @@ from unips_jax.app.work import Chosen
 from unips_jax.app.worker import Report
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
+from unips_jax.io.door import write_whole, writing
 from unips_jax.io.images import read_image_file
 
 SUFFIXES = {"blender": ".glb", "print": ".stl", "archive": ".zip"}
@@ -85,13 +86,15 @@ def export(
     from unips_jax.surface.exports import Scale, blender_model, printable
 
     report("exporting", 0.0)
-    place.mkdir(exist_ok=True)
+    with writing(place):
+        place.mkdir(exist_ok=True)
     file = place / f"{name}{SUFFIXES[wanted.purpose]}"
+    facts: dict[str, Any] = {}
     if not (results / RECORD).is_file():
         raise InputError(f"{results}: expected results, found none there any more")
     if wanted.purpose == "archive":
         made = [f for f in place.glob(f"{name}.*") if f.suffix in (".glb", ".stl")]
-        data, facts = archive(name, [*results_of(results), *sorted(made)]), {}
+        data = archive(name, [*results_of(results), *sorted(made)])
     else:
         record = load_record(results / RECORD)
         surface = record.get("surface")
@@ -112,12 +115,7 @@ def export(
                 directx=wanted.directx,
                 longest_mm=longest,
             )
-    part = file.with_suffix(".part")
-    try:
-        part.write_bytes(data)
-        part.rename(file)
-    finally:
-        part.unlink(missing_ok=True)
+    write_whole(file, data)
     return {"file": file.name, "bytes": len(data), **facts}
 
 
