@@ -249,7 +249,7 @@ class Desk:
             with contextlib.suppress(InputError):  # a full disk: memory has it
                 item.save()
 
-    async def export(self, item: Object, wanted: exports.Wanted) -> dict[str, Any]:
+    async def make_export(self, item: Object, wanted: exports.Wanted) -> dict[str, Any]:
         """Makes a file for a purpose from an object's results; see `exports.export`.
 
         Raises:

@@ -74,7 +74,7 @@ class Saving:
         except (ValueError, TypeError):
             raise Refused(422, "length") from None
         require_room(item.folder)
-        return JSONResponse(await self._desk.export(item, wanted))
+        return JSONResponse(await self._desk.make_export(item, wanted))
 
     async def exported(self, request: Request, item: Object) -> Response:
         """A file that was made, to be stored."""
