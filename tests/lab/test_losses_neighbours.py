@@ -114,7 +114,9 @@ def test_right_guesses_cost_nothing():
 
 
 def test_every_new_parameter_has_a_gradient():
-    config = dataclasses.replace(SMALL_OURS, fine_dim=5, light_tokens=True)
+    config = dataclasses.replace(
+        SMALL_OURS, fine_dim=5, light_tokens=True, known_lights=True
+    )
     rng = np.random.default_rng(1)
     shared = jnp.ones((2, 3), bool)
     light = IncidentLight(
@@ -125,7 +127,11 @@ def test_every_new_parameter_has_a_gradient():
         shared,
         shared,
     )
-    known = objects()._replace(lights=light.lamp_direction, incident=light)
+    known = objects()._replace(
+        lights=light.lamp_direction,
+        incident=light,
+        known_lights=light.lamp_direction,
+    )
 
     def loss(params):
         network = UniversalNetwork(config, params)

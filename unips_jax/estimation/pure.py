@@ -14,6 +14,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from unips_jax.models import chunks, ops
+from unips_jax.models.config import require_known_lights
 from unips_jax.models.network import (
     UniversalNetwork,
     decode,
@@ -29,6 +30,7 @@ def estimate_normals(
     mask: ArrayLike | None = None,
     *,
     valid: ArrayLike | None = None,
+    lights: ArrayLike | None = None,
     frame: FrameKind = "mask",
     uniform_contexts: bool = False,
 ) -> Array:
@@ -50,6 +52,9 @@ def estimate_normals(
         mask: `[H, W]`, non-zero on the object; None: the whole image.
         valid: `[N]`, bool: images that count, so that sets can be padded; None: all.
             Where none counts, normals are zero.
+        lights: `[N, 3]`, the lights that are known, towards each lamp (x right, y up, z
+            towards the viewer). Lengths say how well: 1 exactly, else the cosine of the
+            error to expect, 0 not at all. For networks with `known_lights` only.
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
         uniform_contexts: an ablation, see `with_uniform_contexts`.
 
@@ -97,9 +102,23 @@ def estimate_normals(
         images.astype(ops.wide_dtype(images.dtype)),
         mask.astype(bool),
         None if valid is None else jnp.asarray(valid, bool),
+        None if lights is None else _checked_lights(network, images, lights),
         frame_kind=frame,
         uniform_contexts=uniform_contexts,
     )
+
+
+def _checked_lights(
+    network: UniversalNetwork, images: Array, lights: ArrayLike
+) -> Array:
+    require_known_lights(network.config)
+    lights = jnp.asarray(lights)
+    if lights.shape != (len(images), 3):
+        raise ValueError(
+            f"lights: expected [N, 3] = {(len(images), 3)}, one direction per image, "
+            f"got {lights.shape}"
+        )
+    return lights.astype(ops.wide_dtype(lights.dtype))
 
 
 @functools.partial(jax.jit, static_argnames=("frame_kind", "uniform_contexts"))
@@ -108,6 +127,7 @@ def _estimate(
     images: Array,
     mask: Array,
     valid: Array | None,
+    lights: Array | None,
     *,
     frame_kind: FrameKind,
     uniform_contexts: bool,
@@ -120,7 +140,7 @@ def _estimate(
         some = jnp.any(valid)
         valid = valid | ~some
     images = normalize_images(images, mask)
-    views = make_views(images, mask, network.config, frame_kind)
+    views = make_views(images, mask, network.config, frame_kind, lights)
     encoding = encode(network, views, valid, **chunks.bounded(n))
     if uniform_contexts:
         encoding = with_uniform_contexts(encoding, views)

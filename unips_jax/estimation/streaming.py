@@ -15,6 +15,7 @@ from jax import Array
 from unips_jax.estimation.programs import kept
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.models import chunks
+from unips_jax.models.config import require_known_lights
 from unips_jax.models.network import (
     Encoding,
     UniversalNetwork,
@@ -54,6 +55,7 @@ def estimate_photographs(
     *,
     transfer: Transfer = "linear",
     frame: FrameKind = "mask",
+    lights: np.ndarray | None = None,
     fast: bool = False,
     uniform_contexts: bool = False,
     progress: Progress | None = None,
@@ -71,6 +73,7 @@ def estimate_photographs(
         mask: `[H, W]`, bool.
         transfer: how values encode light; "srgb" is undone first.
         frame: see `estimate_normals`.
+        lights: see `estimate_normals`.
         fast: decode the mirrored view at one pixel in 16: half the time. What it costs
             in degrees is in docs/results.md.
         uniform_contexts: an ablation, see `with_uniform_contexts`.
@@ -85,6 +88,7 @@ def estimate_photographs(
         mask,
         transfer=transfer,
         frame=frame,
+        lights=lights,
         fast=fast,
         uniform_contexts=uniform_contexts,
         progress=progress,
@@ -99,6 +103,7 @@ def estimate_with_lights(
     *,
     transfer: Transfer = "linear",
     frame: FrameKind = "mask",
+    lights: np.ndarray | None = None,
     fast: bool = False,
     uniform_contexts: bool = False,
     progress: Progress | None = None,
@@ -108,15 +113,17 @@ def estimate_with_lights(
 
     `preview` is called early with a coarse grid of the normals.
     """
+    if lights is not None:
+        require_known_lights(network.config)
     count, padded = len(images), padded_size(len(images))
     valid = np.arange(padded) < count
     linear = functools.partial(as_linear, transfer=transfer)
     views, gains = photograph_views(
-        images, mask, linear, network.config, frame, padded=padded
+        images, mask, linear, network.config, frame, lights=lights, padded=padded
     )
     contexts, *guessed = _encode(network, views, valid, uniform=uniform_contexts)
-    lights = np.asarray(guessed[0])[:count] if guessed else None
-    encoding = Encoding(contexts, *views[1:])
+    found = np.asarray(guessed[0])[:count] if guessed else None
+    encoding = Encoding(contexts, *views[1:4])
 
     def values(y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Normalised pixels `[P, padded, 3]`."""
@@ -130,8 +137,8 @@ def estimate_with_lights(
     if preview is not None:
         _show_coarse(preview, decoder, encoding, mask)
     if fast and len(contexts) > 1:
-        return NormalsAndLights(_decode_fast(decoder, encoding, mask, progress), lights)
-    return NormalsAndLights(decoder(encoding, mask, progress=progress), lights)
+        return NormalsAndLights(_decode_fast(decoder, encoding, mask, progress), found)
+    return NormalsAndLights(decoder(encoding, mask, progress=progress), found)
 
 
 def _decode_pixels(

@@ -2,7 +2,9 @@
 
 A method is asked for as `name` or `name:option=value,option=value`, such as
 `least-squares:keep=(0.2,0.8)`. GCNet takes PS-FCN's weights, or the name of a
-calibrated baseline, for the normals: `gcnet:weights=GCNET,normals=PS_FCN`. Of any
+calibrated baseline, for the normals: `gcnet:weights=GCNET,normals=PS_FCN`.
+`unips:fast=true` decodes as `--fast` does; `unips:lights=true` is given the lights of
+benchmarks that know them, `unips:lights=20` with errors of 20 degrees. Of any
 method `sign=oracle` takes the signs of x, y and z that the truth likes best, as
 publications do where convex and concave look the same; a dagger marks its results.
 `files:DIR` are normals that another program made (`normal_files`),
@@ -19,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from unips_jax.baselines.method import Method, Observed
+from unips_jax.baselines.method import Method, Observed, Unsupported
 from unips_jax.errors import InputError
 from unips_jax.evaluation.foreign import from_module, from_package, installed
 from unips_jax.evaluation.normal_files import from_files
@@ -62,12 +64,7 @@ def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]
     for request in dict.fromkeys([*expanded, "constant"]):
         name, _, options = request.partition(":")
         if name == "unips":
-            if options:
-                raise InputError(
-                    f"method {request!r}: options of unips are given by --weights, "
-                    "--canonical-size and --uniform-contexts"
-                )
-            variants += _unips_variants(unips)
+            variants += _unips_variants(unips, _unips_options(request, options))
         elif name == "files":
             variants.append(from_files(request))
         elif name == "python":
@@ -156,14 +153,47 @@ def _calibrated(request: str, value: str) -> Method:
     return _baseline(value, value, {}).run
 
 
-def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
+def _unips_options(request: str, text: str) -> dict[str, Any]:
+    """`fast`, True, and `lights`, degrees of error; those that are asked for."""
+    options = parse_options(request, text)
+    found: dict[str, Any] = {}
+    for name, value in options.items():
+        known = True if value == "true" else value
+        if name == "fast" and known is True:
+            found["fast"] = True
+        elif name == "lights" and (
+            known is True or (isinstance(known, int | float) and 0 <= known < 90)
+        ):
+            found["lights"] = 0.0 if known is True else float(known)
+        else:
+            raise InputError(
+                f"method {request!r}: expected fast=true, lights=true or lights=20 "
+                f"(degrees of error, below 90), got {name}={value}; weights are given "
+                "by --weights, further options by --canonical-size and "
+                "--uniform-contexts"
+            )
+    return found
+
+
+def _unips_variants(
+    unips: UnipsOptions, asked: Mapping[str, Any]
+) -> Iterator[Variant]:
+    from unips_jax.models.config import require_known_lights
     from unips_jax.weights import load_weights, weights_hash
 
     several = len(unips.weights) > 1
     for source in unips.weights:
         network = load_weights(source)
         config, weights = network.config, weights_hash(network)
+        if "lights" in asked:
+            try:
+                require_known_lights(config)
+            except ValueError as error:
+                raise InputError(f"--weights {source}: {error}") from None
         base = f"unips {Path(source).stem}" if several else "unips"
+        base += " fast" * ("fast" in asked)
+        if (error := asked.get("lights")) is not None:
+            base += " lights" + f" {error:g}" * (error > 0)
         sizes = list(unips.canonical_sizes) or [config.canonical_size]
         for size in sizes:
             try:
@@ -173,27 +203,55 @@ def _unips_variants(unips: UnipsOptions) -> Iterator[Variant]:
             label = base if len(sizes) == 1 else f"{base} canonical {size}"
             for uniform in (False, True)[: 1 + unips.uniform_contexts]:
                 options = {"canonical_size": size, "uniform_contexts": uniform}
+                options |= asked
                 yield Variant(
                     label + " uniform contexts" * uniform,
                     {
                         **{"method": "unips", "options": options, "weights": weights},
                         "method_code": code_hash("estimation.streaming"),
                     },
-                    _unips(dataclasses.replace(network, config=sized), uniform),
+                    _unips(
+                        dataclasses.replace(network, config=sized), uniform, **asked
+                    ),
                     f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "
                     f"hash {weights}",
                 )
 
 
-def _unips(network: "UniversalNetwork", uniform_contexts: bool) -> Method:
+def _unips(
+    network: "UniversalNetwork",
+    uniform_contexts: bool,
+    fast: bool = False,
+    lights: float | None = None,
+) -> Method:
     from unips_jax.estimation.streaming import estimate_photographs
 
     def method(observed: Observed) -> np.ndarray:
+        known = None
+        if lights is not None:
+            if observed.lights is None:
+                raise Unsupported("unips:lights needs known lights")
+            known = roughly_known(observed.lights.directions, lights)
         return estimate_photographs(
             network,
             observed.images,
             observed.mask,
+            lights=known,
+            fast=fast,
             uniform_contexts=uniform_contexts,
         )
 
     return method
+
+
+def roughly_known(directions: np.ndarray, degrees: float) -> np.ndarray:
+    """Directions `[N, 3]` with a typical error, as `estimate_normals` takes them.
+
+    The errors are the same for the same number of lights.
+    """
+    error = np.radians(degrees)
+    noise = np.random.default_rng(len(directions)).normal(size=directions.shape)
+    noise -= directions * np.sum(noise * directions, axis=-1, keepdims=True)
+    moved = directions + np.tan(error) * noise / 2**0.5
+    moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
+    return np.asarray(moved * np.cos(error), np.float32)

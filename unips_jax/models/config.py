@@ -295,6 +295,8 @@ class SelfCalibratingConfig(ModelConfig):
             fine, by images twice as large (see `models.fine`); 0: none.
         light_tokens: whether the consensus knows kinds of light, by a token for each
             (see `models.light_tokens`).
+        known_lights: whether lights that are known can be given with the images (see
+            `models.known_lights`).
     """
 
     antialias: ClassVar[bool] = True
@@ -308,6 +310,7 @@ class SelfCalibratingConfig(ModelConfig):
     observation_dim: int = 128
     fine_dim: int = 0
     light_tokens: bool = False
+    known_lights: bool = False
 
     def __post_init__(self) -> None:
         """Checks every field.
@@ -341,6 +344,15 @@ class SelfCalibratingConfig(ModelConfig):
         """Side of the contexts' grid, in cells, or in nodes half a cell apart."""
         cells = super().context_size
         return 2 * cells + 1 if self.sees_details else cells
+
+
+def require_known_lights(config: ModelConfig) -> None:
+    """Raises `ValueError` for a network that has no use for known lights."""
+    require(
+        isinstance(config, SelfCalibratingConfig) and config.known_lights,
+        "lights: expected weights of a network with known_lights, got others; leave "
+        "the lights away or take other weights",
+    )
 
 
 NETWORKS = {"unips": UniPSConfig, "self_calibrating": SelfCalibratingConfig}

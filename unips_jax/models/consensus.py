@@ -15,6 +15,7 @@ from jax.typing import DTypeLike
 
 from unips_jax.models import ops
 from unips_jax.models.encoding import Guesses
+from unips_jax.models.known_lights import KnownLights
 from unips_jax.models.light_tokens import LightTokens
 from unips_jax.models.set_attention import SAB, Dense, dense, layer_norm
 
@@ -34,23 +35,29 @@ class Consensus(nn.Module):
         blocks: attention blocks over the map, half of them before the lights.
         features: their width, a multiple of 32.
         light_tokens: whether kinds of light have tokens (see `models.light_tokens`).
+        known_lights: whether lights can be given (see `models.known_lights`).
         dtype: compute type.
     """
 
     blocks: int
     features: int
     light_tokens: bool = False
+    known_lights: bool = False
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
     def __call__(
-        self, contexts: Array, valid: Array | None = None
+        self,
+        contexts: Array,
+        valid: Array | None = None,
+        lights: Array | None = None,
     ) -> tuple[Array, Guesses]:
         """Applies the consensus.
 
         Args:
             contexts: `[B, N, h, w, C]`.
             valid: `[N]`, bool: which images count; None: all.
+            lights: `[B, N, 3]`, known ones; None: none is.
 
         Returns:
             The contexts, changed, and the guesses.
@@ -80,6 +87,9 @@ class Consensus(nn.Module):
             [jnp.mean(normed, axis=2), ops.largest(normed, axis=2)], axis=-1
         )
         light = light + dense(self.features, self.dtype, "whole")(whole)
+        if self.known_lights:
+            given = jnp.zeros((batch, images, 3)) if lights is None else lights
+            light = light + KnownLights(self.features, self.dtype, name="given")(given)
         light = self._block("block_lights")(light, valid, True)
         light = layer_norm(self.dtype, "norm_lights")(light)
         kinds = None

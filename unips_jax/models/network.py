@@ -64,14 +64,10 @@ class EncoderDecoder(nn.Module):
         images: Array,
         valid: Array | None = None,
         deterministic: bool = True,
-        *,
-        by_image: Pieces = whole,
-        by_place: Pieces = whole,
+        **options: Any,
     ) -> Encoded:
         """Contexts of sets of images `[..., N, s, s, 4]`; see `encode`."""
-        return self.encoder(
-            images, valid, deterministic, by_image=by_image, by_place=by_place
-        )
+        return self.encoder(images, valid, deterministic, **options)
 
     def decode(
         self,
@@ -138,18 +134,20 @@ def encode(
         by_place: how to run what treats every place of the maps alone.
         dropout: a key, in training.
     """
+    lights = {} if views.lights is None else {"lights": views.lights}
     encoded: Any = EncoderDecoder(network.config).apply(
         {"params": network.params},
         views.images,
         valid,
         dropout is None,
+        **lights,
         by_image=by_image,
         by_place=by_place,
         rngs=None if dropout is None else {"dropout": dropout},
         method="encode",
     )
     contexts = jnp.moveaxis(encoded.contexts, 1, 3)
-    return Encoding(contexts, *views[1:], guesses=encoded.guesses)
+    return Encoding(contexts, *views[1:4], guesses=encoded.guesses)
 
 
 def decode(

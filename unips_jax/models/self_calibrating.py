@@ -12,7 +12,8 @@ paper's network (`models.unips`) has no place for the lights. This one differs f
   is cut off for good;
 - the images agree on one shape, and on each one's light (`models.consensus`);
 - if so configured, contexts end on a finer grid (`models.fine`), and the consensus
-  knows kinds of light (`models.light_tokens`);
+  knows kinds of light (`models.light_tokens`), and lights that are given
+  (`models.known_lights`);
 - images are resized with antialiasing, and normals are the mean over the images and
   the mirrored images (`estimation`).
 
@@ -100,7 +101,11 @@ class Encoder(nn.Module):
             config.context_dim, config.pool_scales, linear_pooling=True, dtype=dtype
         )
         self.consensus = Consensus(
-            config.consensus_blocks, config.consensus_dim, config.light_tokens, dtype
+            config.consensus_blocks,
+            config.consensus_dim,
+            config.light_tokens,
+            config.known_lights,
+            dtype,
         )
         if config.sees_details:
             self.fine = Fine(config.fine_dim, dtype)
@@ -111,10 +116,14 @@ class Encoder(nn.Module):
         valid: Array | None = None,
         deterministic: bool = True,
         *,
+        lights: Array | None = None,
         by_image: Pieces = whole,
         by_place: Pieces = whole,
     ) -> Encoded:
-        """Computes the contexts and the guesses; arguments as in `models.unips`."""
+        """Computes the contexts and the guesses; arguments as in `models.unips`.
+
+        `lights [..., N, 3]` are known ones; None: none is.
+        """
         images, details = images[..., :4], images[..., 4:]
         *sets, height, width, channels = images.shape
         ratios = image_ratios(images, valid)
@@ -134,7 +143,9 @@ class Encoder(nn.Module):
             maps.append(norm(x))
         contexts = by_image(self.fusion, maps)  # [M, s/4, s/4, context_dim]
         changed, guesses = self.consensus(
-            contexts.reshape(-1, sets[-1], *contexts.shape[1:]), valid
+            contexts.reshape(-1, sets[-1], *contexts.shape[1:]),
+            valid,
+            None if lights is None else lights.reshape(-1, sets[-1], 3),
         )
         contexts = changed.reshape(-1, *contexts.shape[1:])
         if self.config.sees_details:

@@ -46,24 +46,32 @@ class Views(NamedTuple):
         frame: where they are in the image, or in the mirrored image, `[V]` each.
         mirrored: `[V]`, bool: which views are of the mirrored images.
         width: columns of the image, int32.
+        lights: `[V, N, 3]`, known ones, of the mirrored images mirrored too; None: none
+            is (see `models.known_lights`).
     """
 
     images: Array
     frame: Frame
     mirrored: Array
     width: Array
+    lights: Array | None = None
 
 
 def make_views(
-    images: Array, mask: Array, config: ModelConfig, kind: FrameKind = "mask"
+    images: Array,
+    mask: Array,
+    config: ModelConfig,
+    kind: FrameKind = "mask",
+    lights: Array | None = None,
 ) -> Views:
-    """The views of an object in arrays; differentiable by the images.
+    """The views of an object in arrays; differentiable by images and lights.
 
     Args:
         images: `[N, H, W, 3]`, from `normalize_images`.
         mask: `[H, W]`, bool.
         config: the network's configuration.
         kind: what the frame surrounds.
+        lights: `[N, 3]`, known ones; None: none is.
     """
 
     def view(step: int) -> tuple[Array, Frame]:
@@ -75,7 +83,8 @@ def make_views(
     views = [view(step) for step in steps]
     seen, frame = jax.tree.map(lambda *view: jnp.stack(view), *views)
     mirrored = jnp.array([step < 0 for step in steps])
-    return Views(seen, frame, mirrored, jnp.asarray(mask.shape[1], jnp.int32))
+    width = jnp.asarray(mask.shape[1], jnp.int32)
+    return Views(seen, frame, mirrored, width, _in_views(lights, steps))
 
 
 def photograph_views(
@@ -85,6 +94,7 @@ def photograph_views(
     config: ModelConfig,
     kind: FrameKind = "mask",
     *,
+    lights: np.ndarray | None = None,
     padded: int | None = None,
 ) -> tuple[Views, np.ndarray]:
     """`normalize_images` and `make_views` of photographs, a few rows at a time.
@@ -97,6 +107,7 @@ def photograph_views(
         linear: gives values as linear light, float32.
         config: the network's configuration.
         kind: what the frame surrounds.
+        lights: `[N, 3]`, known ones; None: none is.
         padded: images of the views, the last ones zero; N if None.
 
     Returns:
@@ -132,12 +143,23 @@ def photograph_views(
         frames.append(frame)
     frame = jax.tree.map(lambda *view: np.stack(view), *frames)
     mirrored, width = np.array([step < 0 for step in steps]), np.int32(mask.shape[1])
-    return Views(*cast(Any, (seen, frame, mirrored, width))), gains
+    if lights is not None:
+        lights = np.concatenate([lights, np.zeros((shape[1] - len(lights), 3))])
+        lights = _in_views(lights.astype(np.float32), steps)
+    return Views(*cast(Any, (seen, frame, mirrored, width, lights))), gains
 
 
 def _steps(config: ModelConfig) -> tuple[int, ...]:
     """Of the columns in each view."""
     return (1, -1) if config.mirror else (1,)
+
+
+def _in_views(lights: Any, steps: tuple[int, ...]) -> Any:
+    """Lights `[N, 3]` as each view has them: `[V, N, 3]`; None stays None."""
+    if lights is None:
+        return None
+    signs = np.array([[[step, 1, 1]] for step in steps], np.float32)
+    return lights * signs
 
 
 def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:

@@ -68,7 +68,8 @@ def _scene_renderer(
 ) -> Callable[[int], Batch]:
     data, sharding = config.data, batch_sharding(mesh)
     model = config.model
-    kinds = isinstance(model, SelfCalibratingConfig) and model.light_tokens
+    ours = isinstance(model, SelfCalibratingConfig)
+    incident = ours and (model.light_tokens or data.known_lights_rate > 0)
 
     # Scenes always have the largest number of images: one compilation serves all.
     @functools.partial(jax.jit, out_shardings=sharding)
@@ -80,12 +81,12 @@ def _scene_renderer(
             num_images=max(data.num_images),
             config=config.scenes,
             meshes=meshes,
-            incident=kinds,
+            incident=incident,
         )
         batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
         if model.guesses:  # others would be compiled for them in vain
             batch["lights"] = scene.light_means
-        if kinds:
+        if incident:
             batch["incident"] = scene.incident
         return batch
 

@@ -38,6 +38,8 @@ class DataConfig:
         augment: the paper's four augmentations. They turn images on their side and
             upside down, so that a network cannot learn that skies and lamps are above;
             configurations that train on endless scenes do without.
+        known_lights_rate: share of the sets whose lights the network is given, roughly
+            or exactly (see `training.known_lights`); scenes without `augment` only.
         workers: processes that read folders; 0 reads in the training process.
     """
 
@@ -53,6 +55,7 @@ class DataConfig:
     pixel_blocks: bool = False
     grid_loss: bool = True
     augment: bool = True
+    known_lights_rate: float = 0.0
     workers: int = 0
 
     def __post_init__(self) -> None:
@@ -75,6 +78,16 @@ class DataConfig:
         require(
             not (self.pixel_blocks and self.grid_loss),
             "pixel_blocks: expected no grid_loss with them, got both",
+        )
+        require(
+            0 <= self.known_lights_rate <= 1,
+            "known_lights_rate: expected a share in [0, 1], got "
+            f"{self.known_lights_rate}",
+        )
+        require(
+            not (self.known_lights_rate and (self.augment or self.source == "folders")),
+            "known_lights_rate: expected scenes and no augment (--data.no-augment) "
+            "with it, got others",
         )
 
     def pixels_for(self, num_images: int) -> int:
@@ -231,4 +244,9 @@ class Config:
             or not (train.steepness_weight or train.differences_weight),
             "steepness_weight, differences_weight: expected blocks of pixels "
             "(--data.pixel-blocks), got none",
+        )
+        require(
+            getattr(self.model, "known_lights", False) or not data.known_lights_rate,
+            "known_lights_rate: expected a network that knows lights "
+            "(--model.known-lights), got another",
         )

@@ -57,7 +57,7 @@ _KEEP_MEMORY = f"MALLOC_ARENA_MAX=1 {_MALLOC}=0 MALLOC_TRIM_THRESHOLD_=-1"
 # Fields of a network that do not change what its parameters mean.
 _SAME_PARAMETERS = {"remat", "dtype", "dropout_rate", "drop_path_rate"}
 # Fields that add parts to a network without a change to what it gives at first.
-_NEW_PARTS = {"fine_dim", "light_tokens"}
+_NEW_PARTS = {"fine_dim", "light_tokens", "known_lights"}
 
 
 def train(

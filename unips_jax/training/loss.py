@@ -54,6 +54,8 @@ class Objects(NamedTuple):
     # `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown
     lights: Array | None = None
     incident: IncidentLight | None = None  # arrays `[B, N, ...]`; None: unknown
+    # `[B, N, 3]`, what the network is given of them, see `models.known_lights`
+    known_lights: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,7 +134,7 @@ def training_loss(
     # On CPU the compiler undoes rematerialisation everywhere but in loops.
     encoding = encode(
         UniversalNetwork(config, {"encoder": network.params["encoder"]}),
-        prepared.views,
+        prepared.views._replace(lights=objects.known_lights),
         by_image=in_pieces(CHUNK_IMAGES) if remat and on_cpu else whole,
         dropout=None if deterministic else encoder_key,
     )

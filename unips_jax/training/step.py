@@ -10,6 +10,7 @@ from jax import Array
 
 from unips_jax.models.network import UniversalNetwork
 from unips_jax.training.config import Config
+from unips_jax.training.known_lights import draw_known_lights
 from unips_jax.training.loss import LossOptions, Objects, training_loss
 from unips_jax.training.optimizer import make_optimizer
 from unips_jax.training.state import TrainState
@@ -29,7 +30,7 @@ def augment(scene: Objects, key: Array) -> Objects:
     horizontal, vertical, transpose = jax.random.bernoulli(flip_key, 0.5, (3,))
 
     def apply(scene: Objects, when: Array, change: Any, turn: Any) -> Objects:
-        images, mask, normals, lights, _ = scene
+        images, mask, normals, lights, *_ = scene
         turned = Objects(
             jax.vmap(change)(images),
             change(mask),
@@ -78,6 +79,10 @@ def batch_loss(
     keys = jax.random.split(key, (2, batch_size))
     if data.augment:
         objects = jax.vmap(augment)(objects, keys[0])
+    if data.known_lights_rate and objects.incident is not None:
+        draw = functools.partial(draw_known_lights, share=data.known_lights_rate)
+        drawn = jax.vmap(draw)(objects.incident, keys[0])
+        objects = objects._replace(known_lights=drawn)
     options = LossOptions(
         num_pixels=data.pixels_for(num_images),
         frame=data.frame,

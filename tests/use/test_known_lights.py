@@ -1,0 +1,87 @@
+"""Lights that are known: unknown ones change nothing, and both paths agree."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_networks import SMALL_OURS, lively_network, lively_weights
+
+from unips_jax.estimation.pure import estimate_normals
+from unips_jax.estimation.streaming import estimate_photographs
+from unips_jax.models.network import UniversalNetwork
+
+KNOWING = dataclasses.replace(SMALL_OURS, known_lights=True)
+
+
+@functools.cache
+def network():
+    return lively_network(KNOWING)
+
+
+@pytest.fixture(scope="module")
+def photographs():
+    rng = np.random.default_rng(0)
+    images = rng.uniform(0.1, 1, (3, 20, 24, 3)).astype(np.float32)
+    mask = np.zeros((20, 24), bool)
+    mask[2:18, 3:21] = rng.random((16, 18)) > 0.1
+    lights = rng.normal(size=(3, 3)).astype(np.float32)
+    return images, mask, lights / np.linalg.norm(lights, axis=-1, keepdims=True)
+
+
+def test_what_is_not_known_changes_nothing(photographs):
+    images, mask, lights = photographs
+    params = lively_weights(KNOWING)
+    old = {name: dict(part) for name, part in params.items()}
+    old["encoder"]["consensus"] = {
+        name: part
+        for name, part in params["encoder"]["consensus"].items()
+        if name != "given"
+    }
+    before = estimate_normals(UniversalNetwork(SMALL_OURS, old), images, mask)
+    for unknown in (None, np.zeros((3, 3))):
+        after = estimate_normals(network(), images, mask, lights=unknown)
+        np.testing.assert_allclose(after, before, atol=2e-6)
+    known = estimate_normals(network(), images, mask, lights=lights)
+    roughly = estimate_normals(network(), images, mask, lights=0.9 * lights)
+    assert abs(known - before).max() > 1e-2
+    assert abs(known - roughly).max() > 1e-3
+
+
+def test_photographs_give_what_arrays_give(photographs):
+    images, mask, lights = photographs
+    expected = estimate_normals(network(), images, mask, lights=lights)
+    found = estimate_photographs(network(), images, mask, lights=lights)
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+def test_what_is_mirrored_gives_mirrored_normals(photographs):
+    images, mask, lights = photographs
+    normals = estimate_normals(network(), images, mask, lights=lights)
+    mirror = np.array([-1, 1, 1], np.float32)
+    turned = estimate_normals(
+        network(), images[:, :, ::-1], mask[:, ::-1], lights=lights * mirror
+    )
+    np.testing.assert_allclose(turned[:, ::-1] * mirror, normals, atol=2e-5)
+
+
+def test_gradients_by_lights_are_finite(photographs):
+    images, mask, lights = photographs
+    lights = jnp.asarray(lights).at[1].set(0)
+
+    def tilt(lights):
+        return estimate_normals(network(), images, mask, lights=lights)[..., 0].sum()
+
+    gradient = jax.grad(tilt)(lights)
+    assert np.isfinite(gradient).all() and (gradient[0] != 0).any()
+
+
+def test_lights_that_do_not_fit_are_refused(photographs):
+    images, mask, lights = photographs
+    with pytest.raises(ValueError, match=r"lights: expected \[N, 3\] = \(3, 3\)"):
+        estimate_normals(network(), images, mask, lights=lights[:2])
+    for estimate in (estimate_normals, estimate_photographs):
+        with pytest.raises(ValueError, match="expected weights of a network with"):
+            estimate(lively_network(SMALL_OURS), images, mask, lights=lights)
