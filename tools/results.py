@@ -139,7 +139,8 @@ def page(shipped: str) -> str:
                 markdown(found["columns"], found["rows"]),
                 f"\n`{found['command']}`, {found['date']}.{note}\n",
             ]
-    others = [read_figures(p.stem) for p in FOLDER.glob("*.json") if p.stem != shipped]
+    hashes = (path.stem for path in FOLDER.glob("[0-9a-f]" * 8 + ".json"))
+    others = [read_figures(name) for name in hashes if name != shipped]
     others.sort(key=lambda other: (other["date"], other["steps"]), reverse=True)
     rows = [
         [other["hash"][:8], other["date"], f"{other['steps']:,}"]

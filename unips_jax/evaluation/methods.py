@@ -175,9 +175,7 @@ def _unips_options(request: str, text: str) -> dict[str, Any]:
     return found
 
 
-def _unips_variants(
-    unips: UnipsOptions, asked: Mapping[str, Any]
-) -> Iterator[Variant]:
+def _unips_variants(unips: UnipsOptions, asked: Mapping[str, Any]) -> Iterator[Variant]:
     from unips_jax.models.config import require_known_lights
     from unips_jax.weights import load_weights, weights_hash
 
@@ -192,8 +190,8 @@ def _unips_variants(
                 raise InputError(f"--weights {source}: {error}") from None
         base = f"unips {Path(source).stem}" if several else "unips"
         base += " fast" * ("fast" in asked)
-        if (error := asked.get("lights")) is not None:
-            base += " lights" + f" {error:g}" * (error > 0)
+        if "lights" in asked:
+            base += " lights" + f" {asked['lights']:g}" * (asked["lights"] > 0)
         sizes = list(unips.canonical_sizes) or [config.canonical_size]
         for size in sizes:
             try:

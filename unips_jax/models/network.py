@@ -134,7 +134,7 @@ def encode(
         by_place: how to run what treats every place of the maps alone.
         dropout: a key, in training.
     """
-    lights = {} if views.lights is None else {"lights": views.lights}
+    lights: Any = {} if views.lights is None else {"lights": views.lights}
     encoded: Any = EncoderDecoder(network.config).apply(
         {"params": network.params},
         views.images,

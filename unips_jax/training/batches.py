@@ -68,8 +68,8 @@ def _scene_renderer(
 ) -> Callable[[int], Batch]:
     data, sharding = config.data, batch_sharding(mesh)
     model = config.model
-    ours = isinstance(model, SelfCalibratingConfig)
-    incident = ours and (model.light_tokens or data.known_lights_rate > 0)
+    kinds = isinstance(model, SelfCalibratingConfig) and model.light_tokens
+    incident = kinds or data.known_lights_rate > 0
 
     # Scenes always have the largest number of images: one compilation serves all.
     @functools.partial(jax.jit, out_shardings=sharding)
