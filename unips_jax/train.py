@@ -1,8 +1,9 @@
 """Trains the network: `unips train`, or `python -m unips_jax.train`.
 
-    unips train --config configs/tiny.py --workdir runs/tiny --optim.learning-rate 3e-4
+    unips train --config tiny --workdir runs/tiny --optim.learning-rate 3e-4
 
-Any field of the configuration can be given; their defaults below are those of the
+--config takes a shipped recipe's name, or a Python file as they are (`configs/`). Any
+field of the configuration can be given; their defaults below are those of the
 --config file, or without one the paper's. The same command resumes a run that was
 stopped or killed, exactly: everything follows from the seed and the step, and what does
 not is in the checkpoint.
@@ -12,7 +13,6 @@ was saved: the same command goes on), 2 if something given cannot be used.
 """
 
 import dataclasses
-import runpy
 import signal
 import sys
 import time
@@ -23,13 +23,13 @@ from typing import Annotated, Any
 import tyro
 
 from unips_jax.console import command, parse, start_jax
-from unips_jax.errors import InputError
 from unips_jax.training.config import Config
+from unips_jax.training.recipes import load_config
 
 
 @dataclasses.dataclass(frozen=True)
 class _File:
-    config: Path | None = None
+    config: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,47 +37,19 @@ class Options:
     """Options of `unips train`.
 
     Attributes:
-        config: Python file with a function get_config() that returns a Config; it is
-            run.
+        config: a shipped recipe, or a Python file with a function get_config() that
+            returns a Config; it is run.
         workdir: the run's folder: checkpoints, metrics and weights.
         init_weights: start a new run from these weights.
         distributed: join the other processes first.
         fields: of the configuration.
     """
 
-    config: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    config: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
     workdir: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     init_weights: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     distributed: bool = False
     fields: Annotated[Config, tyro.conf.arg(name="")] = Config()
-
-
-def load_config(path: str | Path) -> Config:
-    """Runs a configuration file and returns what its `get_config()` gives.
-
-    Raises:
-        InputError: if there is no such file or function, or it fails.
-    """
-    if not Path(path).is_file():
-        raise InputError(f"--config {path}: expected a Python file, found none")
-    try:
-        get_config: Any = runpy.run_path(str(path)).get("get_config")
-    except Exception as error:
-        raise InputError(f"--config {path}: {_failure(error)}") from error
-    if not callable(get_config):
-        raise InputError(f"--config {path}: expected a function get_config() in it")
-    try:
-        config = get_config()
-    except ValueError as error:
-        raise InputError(f"--config {path}: {error}") from error
-    except Exception as error:
-        raise InputError(f"--config {path}: {_failure(error)}") from error
-    if not isinstance(config, Config):
-        raise InputError(
-            f"--config {path}: expected get_config() to return a Config of "
-            f"unips_jax.training.config, got {type(config).__name__}"
-        )
-    return config
 
 
 @command
@@ -107,16 +79,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     print(f"step {int(state.step)} after {minutes:.1f} minutes: {options.workdir}")
     if int(state.step) < options.fields.train.steps:
         raise SystemExit(128 + signal.SIGTERM)
-
-
-def _failure(error: Exception) -> str:
-    """What went wrong in the file, and where."""
-    place, line = error.__traceback__, 0
-    while place is not None:
-        line, place = place.tb_lineno, place.tb_next
-    if isinstance(error, SyntaxError):
-        line = error.lineno or 0
-    return f"fails in line {line}: {type(error).__name__}: {error}"
 
 
 if __name__ == "__main__":

@@ -1,19 +1,27 @@
 """Training steps: optimisers, accumulation, augmentation, non-finite losses."""
 
 import dataclasses
+import functools
 import operator
 
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from training_runs import CONFIG, batch
 
-from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
+from unips_jax.training.config import (
+    Config,
+    DataConfig,
+    MeshConfig,
+    OptimConfig,
+    TrainConfig,
+)
 from unips_jax.training.loss import Objects
 from unips_jax.training.optimizer import make_optimizer, make_schedule
 from unips_jax.training.state import new_state
-from unips_jax.training.step import _untrained, augment, train_step
+from unips_jax.training.step import _untrained, augment, batch_gradient, train_step
 
 
 @pytest.mark.parametrize(
@@ -159,3 +167,29 @@ def test_nonfinite_loss_saves_the_batch(tmp_path, monkeypatch):
     with np.load(tmp_path / "nonfinite_step1.npz") as saved:
         assert np.isnan(saved["normals"]).any()
     assert not list((tmp_path / "checkpoints").glob("[0-9]*"))
+
+
+def test_microbatches_have_the_whole_batch_gradient_in_less_memory():
+    """Of eight objects in four parts; another key gives another gradient."""
+    params = new_state(CONFIG, jax.random.key(0)).params
+    data = batch(8, 3, 16)
+    # Objects that differ, so that parts of them do.
+    data["images"] *= jnp.linspace(0.5, 2, 8)[:, None, None, None, None]
+    data["mask"] &= jnp.arange(16)[:, None] >= jnp.arange(8)[:, None, None]
+
+    def compiled(microbatches):
+        mesh = MeshConfig(microbatches=microbatches)
+        config = dataclasses.replace(CONFIG, mesh=mesh)
+        gradient = jax.jit(functools.partial(batch_gradient, config=config))
+        return gradient.lower(params, data, jax.random.key(2)).compile()
+
+    whole, parts = compiled(1), compiled(4)
+    expected, found, other = (
+        jax.flatten_util.ravel_pytree(run(params, data, jax.random.key(key)))[0]
+        for run, key in ((whole, 2), (parts, 2), (whole, 3))
+    )
+    size = jnp.linalg.norm(expected)
+    assert jnp.linalg.norm(found - expected) < 1e-5 * size
+    assert jnp.linalg.norm(other - expected) > 1e-3 * size
+    memory = [run.memory_analysis().temp_size_in_bytes for run in (whole, parts)]
+    assert memory[1] < 0.6 * memory[0], memory

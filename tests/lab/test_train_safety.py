@@ -66,6 +66,7 @@ def test_what_a_run_learns_from_may_not_change(part, field, value):
         ("data", "root", "b"),
         ("data", "workers", 2),
         ("model", "remat", True),
+        ("mesh", "microbatches", 2),
         ("train", "steps", 7),
     ],
 )
@@ -101,6 +102,10 @@ def test_bad_input_is_named(tmp_path):
     file.touch()
     with pytest.raises(InputError, match=r"--data\.batch-size 8: .* 3 devices"):
         check_input(CONFIG, SimpleNamespace(size=3))
+    parts = altered("mesh", microbatches=4)
+    check_input(parts, SimpleNamespace(size=2))
+    with pytest.raises(InputError, match=r"--mesh\.microbatches 4: .* the 2 objects"):
+        check_input(parts, SimpleNamespace(size=4))
     scenes = dataclasses.replace(CONFIG.data, source="scenes")
     with pytest.raises(InputError, match="--workdir .*file: cannot be a folder"):
         loop.train(dataclasses.replace(CONFIG, data=scenes), file)

@@ -150,16 +150,19 @@ class MeshConfig:
     Attributes:
         data: devices along which the batch is split; 0: all that `fsdp` leaves.
         fsdp: devices along which parameters and optimiser state are split too.
+        microbatches: parts of a batch that go through the network one after the other,
+            in the memory of one; the gradient is their mean, that of the whole batch.
     """
 
     data: int = 0
     fsdp: int = 1
+    microbatches: int = 1
 
     def __post_init__(self) -> None:
         """Checks every field; `ValueError` names it."""
         check_types(self)
         require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
-        require_positive(self, "fsdp")
+        require_positive(self, "fsdp", "microbatches")
 
 
 @dataclasses.dataclass(frozen=True)

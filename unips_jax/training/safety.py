@@ -29,6 +29,13 @@ def check_input(config: Config, mesh: Mesh) -> None:
             f"{mesh.size} devices, which share a batch; change it, or take fewer "
             "devices with --mesh.data"
         )
+    share = data.batch_size // mesh.size
+    if share % config.mesh.microbatches:
+        raise InputError(
+            f"--mesh.microbatches {config.mesh.microbatches}: expected a divisor of "
+            f"the {share} objects of a device (--data.batch-size over "
+            f"{mesh.size} devices), got none; change one of them"
+        )
     if data.source != "scenes" and not data.root:
         raise InputError(
             "--data.root: expected the folder of the training data, got none; give "

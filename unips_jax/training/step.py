@@ -73,10 +73,17 @@ def batch_loss(
     `lights [B, N, 3]` and `incident` where they are known; `key` is for augmentation,
     pixels and dropout.
     """
+    keys = jax.random.split(key, (2, len(batch["mask"])))
+    return _loss(params, batch, keys[0], keys[1], config=config)
+
+
+def _loss(
+    params: Any, batch: Batch, *keys: Array, config: Config
+) -> tuple[Array, dict[str, Array]]:
+    """`batch_loss`, with two keys for each object."""
     data, train = config.data, config.train
     objects = Objects(**batch)
-    batch_size, num_images = objects.images.shape[:2]
-    keys = jax.random.split(key, (2, batch_size))
+    num_images = objects.images.shape[1]
     if data.augment:
         objects = jax.vmap(augment)(objects, keys[0])
     if data.known_lights_rate and objects.incident is not None:
@@ -99,6 +106,35 @@ def batch_loss(
     return training_loss(network, objects, keys[1], options)
 
 
+def batch_gradient(params: Any, batch: Batch, key: Array, *, config: Config) -> Any:
+    """Value and gradient of `batch_loss`; arguments as there.
+
+    With microbatches, the means over parts of the batch, of which one at a time is in
+    memory. What is drawn for an object is the same, but for dropout.
+
+    Returns:
+        The loss with the metrics, and the gradient by the parameters.
+    """
+    gradient = jax.value_and_grad(functools.partial(_loss, config=config), has_aux=True)
+    objects = batch, *jax.random.split(key, (2, len(batch["mask"])))
+    count = config.mesh.microbatches
+    if count == 1:
+        return gradient(params, *objects)
+
+    def part(x: Array) -> Array:
+        """`[B, ...]` to `[count, B / count, ...]`: each device keeps its objects."""
+        return jnp.moveaxis(x.reshape(-1, count, *x.shape[1:]), 1, 0)
+
+    def add(total: Any, objects: Any) -> tuple[Any, None]:
+        return jax.tree.map(jnp.add, total, gradient(params, *objects)), None
+
+    parts = jax.tree.map(part, objects)
+    shapes = jax.eval_shape(gradient, params, *jax.tree.map(lambda x: x[0], parts))
+    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    total, _ = jax.lax.scan(add, zeros, parts)
+    return jax.tree.map(lambda x: x / count, total)
+
+
 def train_step(
     state: TrainState, batch: Batch, key: Array, *, config: Config
 ) -> tuple[TrainState, dict[str, Array]]:
@@ -109,10 +145,7 @@ def train_step(
     the parameters whose output has no gradient.
     """
     key = jax.random.fold_in(key, state.step)
-    gradient = jax.value_and_grad(
-        functools.partial(batch_loss, config=config), has_aux=True
-    )
-    (loss, metrics), grads = gradient(state.params, batch, key)
+    (loss, metrics), grads = batch_gradient(state.params, batch, key, config=config)
     optimizer = make_optimizer(config)
     updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
     params = optax.apply_updates(state.params, updates)

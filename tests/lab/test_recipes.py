@@ -1,0 +1,66 @@
+"""Recipes by name: which ship, what the paper's one writes out, what is refused."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+
+from unips_jax.errors import InputError
+from unips_jax.models.config import ModelConfig, UniPSConfig
+from unips_jax.scenes.config import MATERIALS
+from unips_jax.train import main
+from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
+from unips_jax.training.recipes import load_config, shipped_recipes
+
+FOLDER = Path(__file__).resolve().parents[2] / "configs"
+
+
+def test_all_recipes_ship():
+    """From the wheel, where the tests run on one: they lie in the package there."""
+    shipped = shipped_recipes()
+    files = {path.stem: path.read_text() for path in FOLDER.glob("*.py")}
+    assert {name: path.read_text() for name, path in shipped.items()} == files
+    assert {"finetune", "small", "tiny", "unips", "unips_official"} <= set(files)
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in FOLDER.glob("*.py")))
+def test_a_recipe_is_known_by_its_name(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # not by a path from here
+    config = load_config(name)
+    assert isinstance(config, Config) and config == load_config(FOLDER / f"{name}.py")
+
+
+def test_an_unknown_recipe_has_the_names_listed(tmp_path, capsys):
+    run = tmp_path / "run"
+    assert main(["--config", "tyny", "--workdir", str(run)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and not run.exists()
+    assert "--config tyny: expected a Python file or one of ablation, " in error
+    assert "tiny, unips, unips_official, found none" in error
+    with pytest.raises(InputError, match="expected a Python file or one of"):
+        load_config(tmp_path / "absent.py")
+
+
+def test_the_papers_recipe_writes_every_value_out():
+    text = (FOLDER / "unips.py").read_text()
+    ours = {
+        *("network", "root", "workers", "scene_share", "fall_steps"),
+        *("coarse_guess_weight", "lights_guess_weight", "kinds_guess_weight"),
+    }
+    for part in (UniPSConfig, DataConfig, OptimConfig, TrainConfig):
+        for field in dataclasses.fields(part):
+            if field.name not in ours:
+                assert re.search(rf"\b{field.name}=", text), field.name
+    departures = re.findall(r"# Departure: ([^\n]*)", text)
+    assert len(departures) == 4, departures
+    paper = dataclasses.replace(ModelConfig.paper(), remat=True)
+    assert load_config("unips") == Config(model=paper)
+
+
+def test_finetuning_begins_from_the_shipped_network():
+    config, tiny = load_config("finetune"), load_config("tiny")
+    assert config.model == tiny.model == ModelConfig.tiny()
+    weights = dict(zip(MATERIALS, config.scenes.material_weights, strict=True))
+    assert weights["metal"] == pytest.approx(0.5) == sum(weights.values()) / 2
+    assert config.train.seed != tiny.train.seed  # scenes seen once are remembered
