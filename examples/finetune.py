@@ -3,9 +3,8 @@
     unips render -o scenes --objects 6 --images 8 --size 128 --seed 0
     python examples/finetune.py scenes -o mine.safetensors
 
-`unips train --init-weights tiny --data.source folders --data.root scenes` does so with
-checkpoints, resumption and several devices; this is what is in its midst, for loops
-that have more to do.
+`unips train --config finetune` does so with checkpoints, resumption and several
+devices; this is what is in its midst, for loops that have more to do.
 """
 
 import argparse
@@ -18,10 +17,14 @@ import jax
 import numpy as np
 import optax
 
-from unips_jax import UniversalNetwork, load_weights
-from unips_jax.io.ps_wild import PSWildFolders, TrainingObject, read_object
-from unips_jax.training.loss import LossOptions, Objects, training_loss
-from unips_jax.weights import save_weights
+from unips_jax import UniversalNetwork, load_weights, save_weights
+from unips_jax.training import (
+    LossOptions,
+    Objects,
+    PSWildFolders,
+    read_object,
+    training_loss,
+)
 
 
 def batches(
@@ -41,7 +44,7 @@ def batches(
         `normals [B, size, size, 3]`.
     """
 
-    def read(index: int, files: TrainingObject) -> dict[str, np.ndarray]:
+    def read(index: int, files: Any) -> dict[str, np.ndarray]:
         order = np.random.default_rng((seed, index)).permutation(len(files.photographs))
         return read_object(files, order[:num_images], size)
 

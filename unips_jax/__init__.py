@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from unips_jax.estimation.pure import estimate_normals
     from unips_jax.estimation.streaming import estimate_photographs
     from unips_jax.evaluation.figures import load_results
+    from unips_jax.io.normals import read_normals, write_normals
     from unips_jax.io.photographs import read_photographs
     from unips_jax.lighting.light_fit import estimate_lights
     from unips_jax.lighting.relight import DistantLights, Materials, relight
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from unips_jax.scenes.render import render_scene
     from unips_jax.surface.images import integrate_image
     from unips_jax.surface.integrate import integrate_normals
-    from unips_jax.weights import load_weights
+    from unips_jax.weights import load_weights, save_weights
 
 __all__ = [
     "DistantLights",
@@ -54,9 +55,12 @@ __all__ = [
     "integrate_normals",
     "load_results",
     "load_weights",
+    "read_normals",
     "read_photographs",
     "relight",
     "render_scene",
+    "save_weights",
+    "write_normals",
 ]
 
 _MODULES = {
@@ -74,9 +78,12 @@ _MODULES = {
     "integrate_normals": "surface.integrate",
     "load_results": "evaluation.figures",
     "load_weights": "weights",
+    "read_normals": "io.normals",
     "read_photographs": "io.photographs",
     "relight": "lighting.relight",
     "render_scene": "scenes.render",
+    "save_weights": "weights",
+    "write_normals": "io.normals",
 }
 
 
