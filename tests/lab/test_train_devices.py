@@ -1,8 +1,12 @@
 """Training on several devices and in several processes."""
 
 import dataclasses
+import json
+import os
 import re
 import socket
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -39,11 +43,21 @@ def test_eight_devices_agree_with_one(single, tmp_path, fsdp):
     assert_close(final_params(tmp_path), final_params(whole))
 
 
-def test_two_processes_agree_with_one(single, tmp_path):
+def test_two_hosts_begin_and_one_goes_on(single, tmp_path):
+    """Each has four devices, and finds the other as SLURM tells it.
+
+    The one has half as many, and takes the batch in two parts.
+    """
     config, whole = single
-    for process in start_pair(tmp_path, config):
-        finish(process)
-    assert_close(final_params(tmp_path), final_params(whole))
+    workdir = tmp_path / "run"
+    for process in start_slurm(tmp_path, workdir, config, "--train.steps", "3"):
+        process.communicate(timeout=600)
+        assert process.returncode == 0
+    assert [path.name for path in (workdir / "checkpoints").iterdir()] == ["3"]
+    mesh = dataclasses.replace(config.mesh, microbatches=2)
+    told = finish(start(workdir, dataclasses.replace(config, mesh=mesh), "4"))
+    assert "going on after step 3" in told
+    assert_close(final_params(workdir), final_params(whole))
 
 
 @pytest.mark.slow
@@ -87,10 +101,48 @@ def test_sigterm_to_one_process_stops_both(single, tmp_path):
 
 def start_pair(workdir, config):
     """Starts a run in two processes on this machine."""
+    address = f"127.0.0.1:{free_port()}"
+    return [start(workdir, config, "2", address, str(i)) for i in range(2)]
+
+
+def start_slurm(tmp_path, workdir, config, *options):
+    """Starts `unips train` as docs/many-machines.md does, as if on two hosts."""
+    text = json.dumps(dataclasses.asdict(config))
+    (tmp_path / "config.json").write_text(text)
+    (tmp_path / "mine.py").write_text(RECIPE)
+    arguments = ("train", "--config", "mine.py", "--workdir", str(workdir))
+    command = [sys.executable, "-m", "unips_jax", *arguments, "--distributed", *options]
+    job = {
+        "SLURM_JOB_ID": "7",
+        "SLURM_STEP_NODELIST": "localhost,localhost",
+        "SLURM_NTASKS": "2",
+        "SLURM_LOCALID": "0",
+        "JAX_COORDINATOR_PORT": str(free_port()),
+        "JAX_NUM_CPU_DEVICES": "4",
+        "JAX_PLATFORMS": "cpu",
+    }
+    return [
+        subprocess.Popen(
+            command, cwd=tmp_path, env={**os.environ, **job, "SLURM_PROCID": str(i)}
+        )
+        for i in range(2)
+    ]
+
+
+RECIPE = """
+from pathlib import Path
+from unips_jax.models.config_json import from_json
+from unips_jax.training import Config
+
+def get_config():
+    return from_json(Config, Path("config.json").read_text())
+"""
+
+
+def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{probe.getsockname()[1]}"
-    return [start(workdir, config, "2", address, str(i)) for i in range(2)]
+        return probe.getsockname()[1]
 
 
 def assert_close(actual, expected):
