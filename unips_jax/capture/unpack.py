@@ -16,8 +16,7 @@ import tifffile
 from unips_jax.errors import InputError
 from unips_jax.io.color import CURVES, encoding_of, srgb_encode
 from unips_jax.io.door import new_file, write_whole
-from unips_jax.io.formats.boxes import known_code, transfer_code
-from unips_jax.io.formats.encoded import NotRead
+from unips_jax.io.formats.encoded import NotRead, box_transfer_code, known_code
 from unips_jax.io.formats.raster import marked_srgb
 from unips_jax.io.formats.tiff import count_pages
 from unips_jax.io.images import MAX_PIXELS, encode_image
@@ -181,7 +180,7 @@ def _table(path: Path) -> np.ndarray | None:
                     "one; export it as MP4 (H.264)"
                 )
             found = _MATROSKA_COLOURS.search(head)
-            code = found[1][0] if found else transfer_code(_description(opened))
+            code = found[1][0] if found else box_transfer_code(_description(opened))
         if code in _HDR:
             kind = f"an HDR video ({CURVES[code][0]})"
             raise NotRead(kind, "record or export it without HDR, as H.264")

@@ -63,7 +63,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = parse(Options, argv, prog="unips estimate", description=__doc__)
     targets = _targets(options)
     options.how.check()
-    options.where.check()
+    if options.where.ray:
+        options.where.check()
     for folder, target in targets.items():
         check_target(target, folder)
     clear_leftovers(options.output)

@@ -6,16 +6,16 @@ Transfer function: by the files' own colour tags, else by their type; see `io.co
 `FolderOptions.transfer` overrules it.
 """
 
+import contextlib
 import dataclasses
 import functools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from unips_jax.capture.unpack import KEYFRAMES, is_container, unpacked
 from unips_jax.console import progress
 from unips_jax.errors import InputError
 from unips_jax.estimation.extras import estimate_extras
@@ -34,7 +34,6 @@ from unips_jax.io.results import check_target, clear_leftovers, read_record
 from unips_jax.io.selection import Selection
 from unips_jax.models.config import ModelConfig
 from unips_jax.provenance import code_hash
-from unips_jax.surface.outputs import focal_of
 
 if TYPE_CHECKING:  # JAX is imported when there is something to estimate
     from unips_jax.models.network import UniversalNetwork
@@ -67,16 +66,16 @@ class NamedNetwork:
 
 def load_network(source: str = "tiny") -> NamedNetwork:
     """`load_weights`, with what the record says of them."""
-    from unips_jax import weights
+    from unips_jax.weights import load_weights
 
-    return _named(weights.load_weights(source), source, trained=True)
+    return _named(load_weights(source), source, trained=True)
 
 
 def random_network(seed: int = 0) -> NamedNetwork:
     """An untrained network of the paper's size, for tests."""
-    from unips_jax import weights
+    from unips_jax.weights import random_weights
 
-    network = weights.random_weights(ModelConfig.paper(), seed=seed)
+    network = random_weights(ModelConfig.paper(), seed=seed)
     return _named(network, f"random, seed {seed}", trained=False)
 
 
@@ -118,60 +117,42 @@ def estimate_folder(
     options = (options or FolderOptions()).spelled_out()
     options.check()
     check_target(target, folder)
-    if is_container(folder):
-        frames = options.max_images or KEYFRAMES
-        with unpacked(folder, frames=frames, max_pixels=options.max_pixels) as place:
-            return _estimate(
-                place,
-                target,
-                network,
-                options,
-                overwrite,
-                verbose,
-                on_progress,
-                on_preview,
-                source=folder,
-            )
-    return _estimate(
-        folder, target, network, options, overwrite, verbose, on_progress, on_preview
-    )
-
-
-def _estimate(
-    folder: Path,
-    target: Path,
-    network: NamedNetwork,
-    options: FolderOptions,
-    overwrite: bool,
-    verbose: bool,
-    on_progress: Progress | None,
-    on_preview: Preview | None,
-    *,
-    source: Path | None = None,
-) -> dict[str, Any]:
-    """Does what `estimate_folder` does, to a folder."""
     clear_leftovers(target.parent)
     earlier = None if overwrite else read_record(target)
-    selection = chosen_photographs(folder, options)
-    selection = dataclasses.replace(selection, source=source)
-    if earlier is not None:
-        made_from = _input_record(
-            selection, network, options, HashingReader(options.max_pixels)
+    with _as_folder(folder, options) as place:
+        selection = chosen_photographs(place, options)
+        if place != folder:
+            selection = dataclasses.replace(selection, source=folder)
+        if earlier is not None:
+            reader = HashingReader(options.max_pixels)
+            if same_inputs(earlier, _input_record(selection, network, options, reader)):
+                if verbose:
+                    title = selection.title
+                    print(f"{title}: {target} is up to date; --overwrite makes it anew")
+                return earlier
+        estimate = estimate_selection(
+            selection,
+            network,
+            options,
+            verbose=verbose,
+            on_progress=on_progress,
+            on_preview=on_preview,
         )
-        if same_inputs(earlier, made_from):
-            if verbose:
-                title = selection.title
-                print(f"{title}: {target} is up to date; --overwrite makes it anew")
-            return earlier
-    estimate = estimate_selection(
-        selection,
-        network,
-        options,
-        verbose=verbose,
-        on_progress=on_progress,
-        on_preview=on_preview,
-    )
-    return write_estimate(target, estimate, options, verbose=verbose)
+        return write_estimate(target, estimate, options, verbose=verbose)
+
+
+@contextlib.contextmanager
+def _as_folder(path: Path, options: FolderOptions) -> Iterator[Path]:
+    """The folder, or a temporary one of what a file of photographs holds."""
+    if path.is_file():
+        from unips_jax.capture.unpack import KEYFRAMES, is_container, unpacked
+
+        if is_container(path):
+            frames = options.max_images or KEYFRAMES
+            with unpacked(path, frames=frames, max_pixels=options.max_pixels) as place:
+                yield place
+            return
+    yield path
 
 
 def estimate_selection(
@@ -193,7 +174,11 @@ def estimate_selection(
     capture, warnings = looked.capture, looked.warnings
     images, mask, transfer = capture.images, capture.mask, capture.transfer
     made_from = _input_record(selection, network, options, reader)
-    focal = focal_of(options.focal, capture.focal, selection.files[0])
+    focal = None
+    if options.focal is not None:
+        from unips_jax.surface.outputs import focal_of
+
+        focal = focal_of(options.focal, capture.focal, selection.files[0])
     record = complete_record(
         made_from, images, mask, transfer, capture.transfer_rule, warnings
     )

@@ -106,10 +106,8 @@ class FolderOptions:
 
     def check(self) -> None:
         """Checks what the types do not; an `InputError` names the option."""
-        for name, least in (
-            *(("max_images", 1), ("max_pixels", 1)),
-            *(("seed", 0), ("size", 1)),
-        ):
+        lowest = {"max_images": 1, "max_pixels": 1, "seed": 0, "size": 1}
+        for name, least in lowest.items():
             value = getattr(self, name)
             if value is not None and value < least:
                 option = name.replace("_", "-")

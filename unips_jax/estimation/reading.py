@@ -26,9 +26,7 @@ class Looked:
     """Photographs that were read and looked at."""
 
     capture: Capture  # the photographs
-    # what is wrong with them, one line each
     warnings: list[str]  # what is wrong with them, one line each
-    # for the record
     facts: dict[str, Any]  # for the record
 
 

@@ -41,9 +41,7 @@ _BUCKETS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 80, 96, 128)
 class NormalsAndLights(NamedTuple):
     """What the network makes of photographs."""
 
-    # `[H, W, 3]`, float32: unit inside the mask, zero outside
     normals: np.ndarray  # `[H, W, 3]`, float32: unit inside the mask, zero outside
-    # `[N, 3]`, float32, see `guessed_lights`; None from a network that makes no guesses
     # `[N, 3]`, float32, see `guessed_lights`; None from a network that makes no guesses
     lights: np.ndarray | None
 

@@ -15,32 +15,20 @@ from unips_jax.io.normals import write_normals
 from unips_jax.io.record import print_line, summary
 from unips_jax.io.results import appearing_at_once, write_record
 from unips_jax.pictures.estimate_sheet import write_sheet
-from unips_jax.surface.outputs import (
-    SurfaceOptions,
-    mean_colors,
-    print_surface,
-    write_surface,
-)
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
     """Normals, what they were estimated from, and how."""
 
-    # `[N, H, W, 3]`, as the network was given them
     images: np.ndarray  # `[N, H, W, 3]`, as the network was given them
-    # `[H, W]`, bool
     mask: np.ndarray  # `[H, W]`, bool
     transfer: Transfer  # how the images encode light
     # `[H, W, 3]`, float32, unit length inside the mask, zero outside
-    # `[H, W, 3]`, float32, unit length inside the mask, zero outside
     normals: np.ndarray
-    # the content of `normals.json`, less the files' hashes
     record: dict[str, Any]  # the content of `normals.json`, less the files' hashes
     # in pixels, if there is a depth to write and its camera is not orthographic
-    # in pixels, if there is a depth to write and its camera is not orthographic
     focal: float | None = None
-    # lights and confidence, where they are wanted
     extras: Extras = Extras()  # lights and confidence, where they are wanted
 
 
@@ -90,18 +78,7 @@ def write_estimate(
         if record["mask_suggested"]:
             write_image(place / "mask.png", estimate.mask.astype(np.uint8) * 255)
         if options.depth or options.mesh:
-            colors = None
-            if options.mesh:
-                colors = mean_colors(estimate.images, estimate.transfer)
-            record["surface"] = write_surface(
-                place,
-                estimate.normals,
-                estimate.mask,
-                SurfaceOptions(focal=estimate.focal, mesh=options.mesh),
-                colors=colors,
-            )
-            if verbose:
-                print_surface(record["surface"])
+            record["surface"] = _write_surface(place, estimate, options, verbose)
         record |= write_extras(place, estimate, options)
         if options.view:
             _write_view(place, target.name, estimate, record)
@@ -111,6 +88,23 @@ def write_estimate(
     if verbose:
         print_line("wrote", f"{target}/: {', '.join(names)}")
     return record
+
+
+def _write_surface(
+    place: Path, estimate: Estimate, options: FolderOptions, verbose: bool
+) -> dict[str, Any]:
+    from unips_jax.surface import outputs
+
+    colors = None
+    if options.mesh:
+        colors = outputs.mean_colors(estimate.images, estimate.transfer)
+    how = outputs.SurfaceOptions(focal=estimate.focal, mesh=options.mesh)
+    facts = outputs.write_surface(
+        place, estimate.normals, estimate.mask, how, colors=colors
+    )
+    if verbose:
+        outputs.print_surface(facts)
+    return facts
 
 
 def _write_view(

@@ -162,7 +162,8 @@ def _draw(
         x += [np.nan, place, place] if half else []
         y += [np.nan, middle - half, middle + half] if half else []
     (line,) = axes.plot(
-        *(x, y),
+        x,
+        y,
         color=style.color,
         linewidth=style.width,
         marker=marker,

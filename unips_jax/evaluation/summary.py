@@ -4,6 +4,7 @@ from unips_jax.evaluation.axes import find_turned, misfit
 from unips_jax.evaluation.cells import (
     Cell,
     Column,
+    Kind,
     Row,
     Table,
     Value,
@@ -79,23 +80,15 @@ def _summary(results: Results) -> Table:
             if x == pick(compared.values()):
                 best[label].add(3 + c)
     images = number(results.main_count)
-    rows = [
-        row(
-            *(label, images, "this run", *own[label], objects[label]),
-            method=label,
-            best=best[label],
-        )
-        for label in results.labels
-    ]
-    rows += [
-        row(
-            *(known.method, number(known.images), "published"),
-            *(known.scores.get(lighting) for lighting in results.lightings),
-            *(mean(known, results.evaluated), *[None] * (len(shares) + 2)),
-            kind="published",
-        )
-        for known in _shown(results)
-    ]
+    rows = []
+    for label in results.labels:
+        cells = [label, images, "this run", *own[label], objects[label]]
+        rows.append(row(*cells, method=label, best=best[label]))
+    for known in _shown(results):
+        cells = [known.method, number(known.images), "published"]
+        cells += [known.scores.get(lighting) for lighting in results.lightings]
+        cells += [mean(known, results.evaluated), *[None] * (len(shares) + 2)]
+        rows.append(row(*cells, kind="published"))
     title = f"Mean angular error in degrees over objects, protocol {results.protocol}"
     if len(results.seeds) > 1 and results.main_count is not None:
         title += f", means over {len(results.seeds)} subsets of images"
@@ -125,16 +118,12 @@ def _images(results: Results) -> Table:
                 errors = [mean_error(lit(own, name)) for name in results.lightings]
                 cells = [number(count), "this run", *errors, mean_error(own)]
                 rows.append(row(label, *cells, method=label))
-        rows += [
-            row(
-                *(known.method, number(known.images), "published"),
-                *(known.scores.get(lighting) for lighting in results.lightings),
-                mean(known, results.evaluated),
-                kind="published",
-            )
-            for known in PUBLISHED.get(results.benchmark, ())
-            if known.group == "images"
-        ]
+        for known in PUBLISHED.get(results.benchmark, ()):
+            if known.group == "images":
+                scored = [known.scores.get(name) for name in results.lightings]
+                cells = [number(known.images), "published", *scored]
+                cells.append(mean(known, results.evaluated))
+                rows.append(row(known.method, *cells, kind="published"))
     scores = columns([*results.lightings, "Mean"])
     return Table(
         "images",
@@ -173,14 +162,9 @@ def _objects(results: Results) -> Table:
     compared = {
         first + i: means[i] for i, label in enumerate(results.labels) if label in every
     }
-    rows.append(
-        row(
-            *("mean", *[None] * len(tags), *means),
-            *(mean(printed, results.evaluated) for printed in known),
-            kind="mean",
-            best=lowest(compared),
-        )
-    )
+    printed_means = [mean(printed, results.evaluated) for printed in known]
+    figures = [*[None] * len(tags), *means, *printed_means]
+    rows.append(row("mean", *figures, kind="mean", best=lowest(compared)))
     head = columns(["Object", *(tag.capitalize() for tag in tags)], results.labels)
     head += columns(f"{printed.method} (published)" for printed in known)
     return Table("objects", "Mean angular error in degrees per object", head, rows)
@@ -282,20 +266,14 @@ def _published(results: Results) -> Table:
     known = PUBLISHED.get(results.benchmark, ())
     names = list(dict.fromkeys(name for printed in known for name in printed.scores))
     names = [name for name in names if name != "mean"]
-    return Table(
-        "published",
-        "Scores as published, in degrees",
-        columns(["Of", "Method", "Images", *names, "Mean"]),
-        [
-            row(
-                *(printed.group, printed.method, number(printed.images)),
-                *(printed.scores.get(name) for name in names),
-                mean(printed),
-                kind="own" if printed.group == "method" else "folded",
-            )
-            for printed in known
-        ],
-    )
+    rows = []
+    for printed in known:
+        cells = [printed.group, printed.method, number(printed.images)]
+        cells += [printed.scores.get(name) for name in names]
+        kind: Kind = "own" if printed.group == "method" else "folded"
+        rows.append(row(*cells, mean(printed), kind=kind))
+    head = columns(["Of", "Method", "Images", *names, "Mean"])
+    return Table("published", "Scores as published, in degrees", head, rows)
 
 
 def _remarks(results: Results) -> Table:

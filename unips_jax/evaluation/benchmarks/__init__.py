@@ -25,13 +25,17 @@ __all__ = [
     "submission_bytes",
 ]
 
-BENCHMARKS: dict[str, type[Benchmark]] = {
-    kind.name: kind
-    for kind in (
-        *(PSWildTest, PSWildTrain, Diligent, DiligentMV, Diligent102),
-        *(Luces, PsmImages, Folder),
-    )
-}
+_KINDS: list[type[Benchmark]] = [
+    PSWildTest,
+    PSWildTrain,
+    Diligent,
+    DiligentMV,
+    Diligent102,
+    Luces,
+    PsmImages,
+    Folder,
+]
+BENCHMARKS = {kind.name: kind for kind in _KINDS}
 
 
 def open_benchmark(

@@ -7,6 +7,7 @@ white; 16 bit, linear.
 """
 
 import io
+import re
 from typing import Any
 
 import imagecodecs
@@ -14,12 +15,18 @@ import numpy as np
 from PIL import Image, features
 
 from unips_jax.errors import install_hint
-from unips_jax.io.formats.boxes import av1_bits, known_code, transfer_code
-from unips_jax.io.formats.encoded import Encoded, NotRead, exif_facts
+from unips_jax.io.formats.encoded import (
+    Encoded,
+    NotRead,
+    box_transfer_code,
+    exif_facts,
+    known_code,
+)
 from unips_jax.io.formats.exr import quiet
 
 _FLIPS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's and EXIF's orientations
 _BOXES = 1 << 20  # bytes at the beginning, in which what describes the picture lies
+_AV1 = re.compile(rb"av1C..(.)", re.DOTALL)  # bits of an AVIF's samples
 _BYTE = np.dtype(np.uint8)
 
 
@@ -76,7 +83,7 @@ def open_heic(data: bytes) -> Encoded:
         raise NotRead(
             "a HEIC picture", f"{install_hint('heif')}, or export it as PNG or TIFF"
         ) from None
-    code = known_code(transfer_code(data[:_BOXES]), "a HEIC picture")
+    code = known_code(box_transfer_code(data[:_BOXES]), "a HEIC picture")
     image: Any = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
     mode, _, deep = image.mode.partition(";")
     channels = {"L": 1, "RGB": 3, "RGBA": 4}.get(mode)
@@ -106,7 +113,9 @@ def open_avif(data: bytes) -> Encoded:
     if getattr(image, "is_animated", False):
         raise NotRead("an animated AVIF")
     mode = "RGBA" if image.mode == "RGBA" else "RGB"
-    bits = av1_bits(data[:_BOXES])
+    found = _AV1.search(data[:_BOXES])
+    deep, deeper = (found[1][0] >> 6 & 1, found[1][0] >> 5 & 1) if found else (0, 0)
+    bits = 8 + 2 * deep + 2 * (deep & deeper)
     facts = exif_facts(image.info.get("exif") or b"")
 
     def decode() -> np.ndarray:
@@ -127,6 +136,6 @@ def open_avif(data: bytes) -> Encoded:
         _BYTE if bits == 8 else np.dtype(np.uint16),
         decode,
         icc=image.info.get("icc_profile") or b"",
-        code=known_code(transfer_code(data[:_BOXES]), "an AVIF picture"),
+        code=known_code(box_transfer_code(data[:_BOXES]), "an AVIF picture"),
         **(facts | {"srgb": facts["srgb"] or bits > 8}),
     )

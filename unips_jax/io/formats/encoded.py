@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -9,10 +10,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from unips_jax.io.color import Encoding, encoding_of
+from unips_jax.io.color import CURVES, Encoding, encoding_of
 
 _ORIENTATION, _EXIF, _FOCAL_35MM, _COLOURS = 0x0112, 0x8769, 0xA405, 0xA001
 _MAKER, _MODEL, _TIME, _APERTURE, _SPEED = 0x010F, 0x0110, 0x829A, 0x829D, 0x8827
+_BOX_COLOURS = re.compile(rb"colrncl[xc]..(..)", re.DOTALL)
+_UNSPECIFIED = (0, 2)  # transfer codes
 
 
 class NotRead(Exception):  # noqa: N818
@@ -107,3 +110,16 @@ def facts_of(
         "focal_35mm": max(focal, 0),
         "srgb": colours == 1,
     }
+
+
+def box_transfer_code(boxes: bytes) -> int:
+    """A transfer code (ITU-T H.273) in ISO's boxes (HEIC, AVIF, MP4); 0 if none."""
+    found = _BOX_COLOURS.search(boxes)
+    return int.from_bytes(found[1], "big") if found else 0
+
+
+def known_code(code: int, kind: str) -> int:
+    """The code, 0 where it says nothing; `NotRead` if nobody knows what it means."""
+    if code not in CURVES and code not in _UNSPECIFIED:
+        raise NotRead(f"{kind} of the unknown transfer code {code}")
+    return code if code in CURVES else 0

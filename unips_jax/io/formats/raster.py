@@ -14,8 +14,13 @@ import numpy as np
 import simplejpeg
 from PIL import Image
 
-from unips_jax.io.formats.boxes import known_code
-from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, exif_facts
+from unips_jax.io.formats.encoded import (
+    Damaged,
+    Encoded,
+    NotRead,
+    exif_facts,
+    known_code,
+)
 
 # Its warnings, of chunks that are not needed, do not belong on a user's terminal.
 logging.getLogger("imagecodecs").addHandler(logging.NullHandler())

@@ -6,6 +6,7 @@ PackBits, LZMA, Zstandard and, for bilevel pictures, CCITT. Grey of either sense
 and palettes, with alpha of either kind, which is not divided out.
 """
 
+import functools
 import io
 import logging
 import struct
@@ -35,7 +36,7 @@ _MAKER, _SUB_FILES, _DNG_VERSION = 271, 330, 50706
 
 
 class _Complaints(logging.Handler):
-    """What tifffile says, in one thread, of tags and pages that it passes over."""
+    """What tifffile reports, in one thread, of tags and pages that it passes over."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -50,8 +51,11 @@ class _Complaints(logging.Handler):
         return getattr(self.said, "lines", [])
 
 
-_COMPLAINTS = _Complaints()
-logging.getLogger("tifffile").addHandler(_COMPLAINTS)
+@functools.cache
+def _complaints() -> _Complaints:
+    handler = _Complaints()
+    logging.getLogger("tifffile").addHandler(handler)
+    return handler
 
 
 def count_pages(file: BinaryIO, most: int) -> int:
@@ -84,10 +88,11 @@ def count_pages(file: BinaryIO, most: int) -> int:
 
 def open_tiff(data: bytes) -> Encoded:
     """Reads a TIFF's tags; damaged ones raise `Damaged`, or any kind of exception."""
-    _COMPLAINTS.said.lines = []
+    complaints = _complaints()
+    complaints.said.lines = []
     tiff = tifffile.TiffFile(io.BytesIO(data))
     page = _photograph(tiff)
-    for line in _COMPLAINTS.lines():
+    for line in complaints.lines():
         raise Damaged(f"the decoder says: {line[:120]}")
     _require_known(page)
     bits, samples = page.bitspersample, page.samplesperpixel
