@@ -1,6 +1,7 @@
 """Checks of configurations' fields."""
 
 import dataclasses
+import math
 import typing
 from typing import Any
 
@@ -14,10 +15,21 @@ def require(condition: bool, message: str) -> None:
 
 
 def check_types(config: Any) -> None:
-    """Raises `ValueError` unless every field of a dataclass has its annotated type."""
+    """Raises `ValueError` unless every field of a dataclass has its annotated type.
+
+    Numbers are finite.
+    """
     hints = typing.get_type_hints(type(config))
     for field in dataclasses.fields(config):
-        require_type(field.name, getattr(config, field.name), hints[field.name])
+        value, kind = getattr(config, field.name), hints[field.name]
+        require_type(field.name, value, kind)
+        items = value if isinstance(value, tuple) else (value,)
+        for item in items:
+            finite = not isinstance(item, float) or math.isfinite(item)
+            require(finite, f"{field.name}: expected finite numbers, got {value}")
+            # Python counts True as a number, which is hardly ever meant.
+            truth = isinstance(item, bool) and "bool" not in str(kind)
+            require(not truth, f"{field.name}: expected a number, got {value}")
 
 
 def require_type(name: str, value: Any, kind: Any) -> None:

@@ -1,6 +1,7 @@
 """What scenes are drawn from: the mixture of shapes, materials, lights and cameras."""
 
 import dataclasses
+import math
 
 from unips_jax.checks import check_types, require
 
@@ -108,7 +109,9 @@ class SceneConfig:
         ):
             weights = getattr(self, name)
             require(
-                len(weights) == len(kinds) and min(weights) >= 0 and sum(weights) > 0,
+                len(weights) == len(kinds)
+                and min(weights) >= 0
+                and 0 < sum(weights) < math.inf,
                 f"{name}: expected {len(kinds)} weights >= 0, not all zero, one for "
                 f"each of {kinds}, got {weights}",
             )
@@ -127,10 +130,10 @@ class SceneConfig:
             f"focal_range_mm: expected 0 < low <= high, got {self.focal_range_mm}",
         )
         require(
-            self.rotation_candidates >= 1,
-            f"rotation_candidates: expected at least 1, got {self.rotation_candidates}",
+            1 <= self.rotation_candidates <= 1000,
+            f"rotation_candidates: expected 1 to 1000, got {self.rotation_candidates}",
         )
         require(
-            self.num_directions >= 8,
-            f"num_directions: expected at least 8, got {self.num_directions}",
+            8 <= self.num_directions <= 4096,
+            f"num_directions: expected 8 to 4096, got {self.num_directions}",
         )

@@ -31,7 +31,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.door import move, write_whole
 from unips_jax.models.config_json import to_json
 from unips_jax.training.checksums import damage, write_checksums
-from unips_jax.training.config import Config
+from unips_jax.training.config import LAST_STEP, Config
 from unips_jax.training.log import say
 from unips_jax.training.safety import any_process
 
@@ -53,7 +53,6 @@ _FREE = {
 }
 # The file that names a checkpoint's step: its folder's name is not in the checksums.
 _STEP = "STEP"
-_LAST_STEP = 2**31 - 1  # the state counts in int32
 # The system's code, within an error of the library that writes the arrays.
 _SYSTEM_ERROR = re.compile(r"os_error_code='(\d+)'")
 
@@ -186,8 +185,8 @@ class Checkpoints:
     def _problem(self, step: int) -> str | None:
         """What is wrong with a checkpoint; None if it is as it was written."""
         folder = self._path / str(step)
-        if step > _LAST_STEP:
-            return f"expected a step of at most {_LAST_STEP} as its name"
+        if step > LAST_STEP:
+            return f"expected a step of at most {LAST_STEP} as its name"
         problem = damage(folder)
         if problem is None and (folder / _STEP).exists():  # versions to 0.3: none
             written = (folder / _STEP).read_text("utf-8").strip()

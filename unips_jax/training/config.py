@@ -6,11 +6,15 @@ from typing import Literal
 from unips_jax.checks import (
     check_types,
     require,
+    require_at_most,
     require_not_negative,
     require_positive,
 )
 from unips_jax.models.config import ModelConfig
 from unips_jax.scenes.config import SceneConfig
+
+LAST_STEP = 2**31 - 1
+"""The state counts in int32."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,9 +67,16 @@ class DataConfig:
         check_types(self)
         require_positive(self, "image_size", "batch_size", "num_pixels")
         require_not_negative(self, "max_tokens", "workers")
+        # More is a slip: memory would not hold it.
+        require_at_most(self, 2**14, "image_size")
+        require_at_most(self, 2**16, "batch_size")
+        require_at_most(self, 2**24, "num_pixels")
+        require_at_most(self, 1024, "workers")
         require(
-            len(self.num_images) > 0 and min(self.num_images) >= 1,
-            f"num_images: expected set sizes of at least 1, got {self.num_images}",
+            len(self.num_images) > 0
+            and min(self.num_images) >= 1
+            and max(self.num_images) <= 2**12,
+            f"num_images: expected set sizes from 1 to {2**12}, got {self.num_images}",
         )
         require(
             self.image_size % 4 == 0,  # of scenes, which runs on folders validate on
@@ -138,6 +149,7 @@ class OptimConfig:
         require_not_negative(
             self, "warmup_steps", "fall_steps", "weight_decay", "clip_norm"
         )
+        require_at_most(self, LAST_STEP, "warmup_steps", "fall_steps", "decay_every")
         for name in ("b2", "ema_decay"):
             decay = getattr(self, name)
             require(0 <= decay < 1, f"{name}: expected a decay in [0, 1), got {decay}")
@@ -213,6 +225,10 @@ class TrainConfig:
         guesses = ("coarse_guess_weight", "lights_guess_weight", "kinds_guess_weight")
         blocks = ("steepness_weight", "differences_weight")
         require_not_negative(self, "seed", *guesses, *blocks, "validation_scenes")
+        require_at_most(self, LAST_STEP, "steps", *rhythm)
+        require_at_most(self, 2**63 - 1, "seed")
+        require_at_most(self, 2**16, "validation_scenes")
+        require_at_most(self, 2**12, "validation_images")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,6 +253,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Checks what fields of different parts mean together."""
+        check_types(self)
         data, train = self.data, self.train
         require(
             not (self.model.sees_details and data.grid_loss),

@@ -32,6 +32,7 @@ from unips_jax.training.safety import (
     any_process,
     check_finite,
     check_input,
+    check_memory,
     stop_on_sigterm,
 )
 from unips_jax.training.sharding import (
@@ -95,6 +96,7 @@ def train(
     key = jax.random.key(config.train.seed)
     init_key, scene_key, step_key = jax.random.split(key, 3)
     abstract = _abstract_state(config, init_key, mesh)
+    check_memory(abstract, mesh)
     with (
         alone_in(workdir),
         Checkpoints(workdir, config) as checkpoints,

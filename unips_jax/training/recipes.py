@@ -33,16 +33,14 @@ def load_config(source: str | Path) -> Config:
     path = _recipe(str(source))
     try:
         get_config: Any = runpy.run_path(str(path)).get("get_config")
-    except Exception as error:
-        raise InputError(f"--config {source}: {_failure(error)}") from error
+    except (Exception, SystemExit) as error:
+        raise InputError(f"--config {source}: {_failure(error, path)}") from error
     if not callable(get_config):
         raise InputError(f"--config {source}: expected a function get_config() in it")
     try:
         config = get_config()
-    except ValueError as error:
-        raise InputError(f"--config {source}: {error}") from error
-    except Exception as error:
-        raise InputError(f"--config {source}: {_failure(error)}") from error
+    except (Exception, SystemExit) as error:
+        raise InputError(f"--config {source}: {_failure(error, path)}") from error
     if not isinstance(config, Config):
         raise InputError(
             f"--config {source}: expected get_config() to return a Config of "
@@ -63,11 +61,14 @@ def _recipe(source: str) -> Path:
     )
 
 
-def _failure(error: Exception) -> str:
-    """What went wrong in the file, and where."""
+def _failure(error: BaseException, path: Path) -> str:
+    """What went wrong in the file, and in which of its lines."""
     place, line = error.__traceback__, 0
     while place is not None:
-        line, place = place.tb_lineno, place.tb_next
-    if isinstance(error, SyntaxError):
+        if place.tb_frame.f_code.co_filename == str(path):
+            line = place.tb_lineno
+        place = place.tb_next
+    if isinstance(error, SyntaxError) and error.filename in (str(path), None):
         line = error.lineno or 0
-    return f"fails in line {line}: {type(error).__name__}: {error}"
+    text = f"fails in line {line}: {type(error).__name__}: {error}"
+    return text if len(text) < 400 else f"{text[:400]}..."

@@ -1,6 +1,8 @@
 """What keeps a training run from harm: checks, a lock, and a way to stop it."""
 
 import contextlib
+import math
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -18,6 +20,10 @@ from unips_jax.io.door import new_file
 from unips_jax.training.config import Config
 from unips_jax.training.sharding import to_host
 from unips_jax.training.step import Batch
+
+
+class NotFinite(InputError, FloatingPointError):
+    """The loss or its gradient is not finite."""
 
 
 def check_input(config: Config, mesh: Mesh) -> None:
@@ -40,6 +46,43 @@ def check_input(config: Config, mesh: Mesh) -> None:
         raise InputError(
             "--data.root: expected the folder of the training data, got none; give "
             "it, or train on scenes with --data.source scenes"
+        )
+    if data.source != "scenes" and not os.path.isdir(data.root.replace("\0", "")):
+        raise InputError(
+            f"--data.root {data.root!r}: expected the folder of the training data, "
+            "found none; `unips render` makes some"
+        )
+    if config.model.dtype == "float64" and not jax.config.read("jax_enable_x64"):
+        raise InputError(
+            "--model.dtype float64: expected JAX to have such numbers, it has not; set "
+            "JAX_ENABLE_X64=1, or take float32"
+        )
+
+
+def check_memory(state: Any, mesh: Mesh) -> None:
+    """Refuses a network whose training state alone no device can hold.
+
+    Args:
+        state: shapes, types and shardings; see `TrainState`.
+        mesh: the devices.
+
+    Raises:
+        InputError: naming the fields.
+    """
+    device = mesh.devices.flat[0]
+    most = (device.memory_stats() or {}).get("bytes_limit", 0)
+    if device.platform == "cpu" and hasattr(os, "sysconf"):
+        most = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    needed = sum(
+        math.prod(leaf.sharding.shard_shape(leaf.shape)) * leaf.dtype.itemsize
+        for leaf in jax.tree.leaves(state)
+        if jax.dtypes.issubdtype(leaf.dtype, np.number)
+    )
+    if most and needed > most:
+        raise InputError(
+            f"--model: expected a network whose training fits {most / 2**30:.0f} GB of "
+            f"memory, got {needed / 2**30:,.0f} GB of parameters and moments; lower "
+            "embed_dim, depths or hidden_dim, or split them with --mesh.fsdp"
         )
 
 
@@ -82,7 +125,7 @@ def any_process(flag: bool) -> bool:
 def check_finite(
     step: int, batch: Batch, metrics: dict[str, jax.Array], workdir: Path
 ) -> None:
-    """Saves the batch and raises FloatingPointError if the step was not finite."""
+    """Saves the batch and raises `NotFinite` if the step was not finite."""
     loss = float(metrics["loss"])
     if np.isfinite(loss) and np.isfinite(float(metrics["grad_norm"])):
         return
@@ -94,7 +137,7 @@ def check_finite(
         }
         with new_file(path) as file:
             np.savez(file, **named)
-    raise FloatingPointError(
+    raise NotFinite(
         f"step {step}: loss {loss} or its gradient is not finite; the batch is in "
         f"{path}. The same run would come here again: choose another --workdir, a "
         "lower --optim.learning-rate and, if there is one, --init-weights "
