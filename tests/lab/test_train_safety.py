@@ -94,7 +94,10 @@ def test_a_folder_serves_one_run(tmp_path):
 
 
 def test_bad_input_is_named(tmp_path):
-    check_input(CONFIG, MESH)
+    with pytest.raises(InputError, match=r"--data\.root 'a': expected the folder"):
+        check_input(CONFIG, MESH)
+    there = dataclasses.replace(CONFIG.data, root=str(tmp_path))
+    check_input(dataclasses.replace(CONFIG, data=there), MESH)
     nowhere = dataclasses.replace(CONFIG.data, root="")
     with pytest.raises(InputError, match=r"--data\.root: expected the folder"):
         check_input(dataclasses.replace(CONFIG, data=nowhere), MESH)
@@ -102,7 +105,7 @@ def test_bad_input_is_named(tmp_path):
     file.touch()
     with pytest.raises(InputError, match=r"--data\.batch-size 8: .* 3 devices"):
         check_input(CONFIG, SimpleNamespace(size=3))
-    parts = altered("mesh", microbatches=4)
+    parts = dataclasses.replace(altered("mesh", microbatches=4), data=there)
     check_input(parts, SimpleNamespace(size=2))
     with pytest.raises(InputError, match=r"--mesh\.microbatches 4: .* the 2 objects"):
         check_input(parts, SimpleNamespace(size=4))

@@ -117,7 +117,8 @@ def append_line(path: Path, line: str) -> None:
             while left:
                 left = left[file.write(left) :]
         except OSError:
-            file.truncate(length)
+            with contextlib.suppress(OSError):  # devices have no length
+                file.truncate(length)
             raise
 
 

@@ -175,6 +175,7 @@ class MeshConfig:
         check_types(self)
         require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
         require_positive(self, "fsdp", "microbatches")
+        require_at_most(self, 2**16, "microbatches")
 
 
 @dataclasses.dataclass(frozen=True)
