@@ -1,7 +1,9 @@
 """Where the object is: a mask suggested from photographs, and pieces of it by a click.
 
 Where the background is plain enough to be sure, its difference tells
-(`capture/background.py`); else a network for salient objects (`capture/salient.py`).
+(`capture/background.py`), and where that is less than certain the network must agree;
+else a network for salient objects tells (`capture/salient.py`). What only shines in the
+dark is no object (`capture/shine.py`).
 """
 
 from typing import Literal, NamedTuple
@@ -11,12 +13,17 @@ import numpy as np
 
 from unips_jax.capture.background import mask_on_plain_background
 from unips_jax.capture.salient import mask_of_salient_object
+from unips_jax.capture.shine import is_only_shine
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_float, srgb_encode
 
 TRUSTED = 0.60
 """The least figure of a guess that is used without asking."""
 
+_CERTAIN = 0.80  # of the plain background's figure: the network is not asked
+_AGREE = 0.80  # overlap of both masks
+_CONTRADICTED = 0.5  # figure of a mask that the network contradicts
+_SHINE = 0.3  # of one of highlights alone
 _SURE = 0.35  # what the network's overlap may lack of 1 at a figure of 0
 _SMALLEST = 16  # pixels of a side
 _TOLERANCE = 14  # levels of 255, from the colour that was clicked
@@ -47,12 +54,23 @@ def suggest_mask(images: np.ndarray, *, transfer: Transfer = "srgb") -> MaskGues
     """
     if min(images.shape[1:3]) < _SMALLEST:
         return MaskGuess(None, 0.0)
+    guess = _guess(images, transfer)
+    if guess.mask is not None and is_only_shine(images, guess.mask, transfer):
+        return MaskGuess(None, _SHINE)
+    return guess
+
+
+def _guess(images: np.ndarray, transfer: Transfer) -> MaskGuess:
     plain = mask_on_plain_background(images, transfer=transfer)
     contrast = round(plain[1], 2) if plain else 0.0
-    if plain and contrast >= TRUSTED:
+    if plain and contrast >= _CERTAIN:
         return MaskGuess(plain[0], contrast, "plain background")
     salient = mask_of_salient_object(images, transfer=transfer)
     figure = round(max(1 - (1 - salient[1]) / _SURE, 0.0), 2) if salient else 0.0
+    if plain and contrast >= TRUSTED:
+        if salient is None or _overlap(plain[0], salient[0]) >= _AGREE:
+            return MaskGuess(plain[0], contrast, "plain background")
+        contrast = _CONTRADICTED
     if salient and figure >= TRUSTED:
         return MaskGuess(salient[0], figure, "salient object")
     return MaskGuess(None, max(figure, contrast))
@@ -100,6 +118,10 @@ def toggle_piece(
     if not whole:
         piece = _of_one_colour(picture, piece, (x, y))
     return mask & ~piece if mask[y, x] else mask | piece
+
+
+def _overlap(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / max((a | b).sum(), 1))
 
 
 def _of_one_colour(
