@@ -4,17 +4,22 @@ For each folder, OUT/NAME/ receives normals.png (16 bit), normals.npy, sheet.png
 picture to judge the result by) and normals.json (how it came about); NAME is the
 folder's name without ".data". The results have the photographs' size and place. Either
 all of a folder's files appear or none; started again, the command does what is left.
+
+With --pause, a folder holds photographs of several places of the camera, one after the
+other: NAME-00, NAME-01, ... receive a view's normals each.
 """
 
 import dataclasses
 import functools
+import glob
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import tyro
 
+from unips_jax.capture.views import views_by_time
 from unips_jax.cli.cluster import RayOptions, spread
 from unips_jax.console import command, parse, reason_of, start_jax
 from unips_jax.errors import InputError
@@ -26,7 +31,7 @@ from unips_jax.estimation.folders import (
 )
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.results import check_target, clear_leftovers
-from unips_jax.io.selection import folder_name
+from unips_jax.io.selection import folder_name, select
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +44,8 @@ class Options:
         output: folder for the results.
         weights: shipped weights or a .safetensors file.
         random_weights: an untrained network, for tests: the normals mean nothing.
+        pause: seconds; where more than this went by between two photographs of a
+            folder, by their EXIF data, another view begins, with results of its own.
         overwrite: also estimate what the same photographs, weights and options gave
             before.
         how: how photographs are read, and what is written.
@@ -52,6 +59,7 @@ class Options:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     weights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tiny"
     random_weights: bool = False
+    pause: float | None = None
     overwrite: bool = False
     how: Annotated[FolderOptions, tyro.conf.arg(name="")] = FolderOptions()
     where: Annotated[RayOptions, tyro.conf.arg(name="")] = RayOptions()
@@ -61,42 +69,42 @@ class Options:
 def main(argv: Sequence[str] | None = None) -> None:
     """`unips estimate`."""
     options = parse(Options, argv, prog="unips estimate", description=__doc__)
-    targets = _targets(options)
     options.how.check()
     if options.where.ray:
         options.where.check()
-    for folder, target in targets.items():
-        check_target(target, folder)
+    jobs = _jobs(options)
+    for job in jobs:
+        check_target(job.target, job.folder)
     clear_leftovers(options.output)
     if options.where.ray:
-        pieces = [(str(f), (f, target, options)) for f, target in targets.items()]
+        pieces = [(job.title, (job, options)) for job in jobs]
         reasons = spread(_estimate_one, pieces, options.where, "estimating")
         for reason in reasons.values():
             print(f"error: {reason}", file=sys.stderr)
-        return _report(list(reasons), targets, options.output)
+        return _report(list(reasons), jobs, options.output)
     start_jax()
     network = _network(options)
     failed = []
-    for folder, target in targets.items():
+    for job in jobs:
         try:
             estimate_folder(
-                folder,
-                target,
+                job.folder,
+                job.target,
                 network,
-                options.how,
+                job.how,
                 overwrite=options.overwrite,
                 verbose=True,
             )
         except BrokenPipeError:
             raise
         except Exception as error:
-            if len(targets) == 1:
+            if len(jobs) == 1:
                 raise
             # A batch goes on, whatever befell one folder.
-            text = reason_of(error) or f"{folder}: {type(error).__name__}: {error}"
+            text = reason_of(error) or f"{job.title}: {type(error).__name__}: {error}"
             print(f"error: {' '.join(text.split())}", file=sys.stderr)
-            failed.append(str(folder))
-    _report(failed, targets, options.output)
+            failed.append(job.title)
+    _report(failed, jobs, options.output)
 
 
 def _network(options: Options) -> NamedNetwork:
@@ -108,20 +116,81 @@ def _network(options: Options) -> NamedNetwork:
 _cached_network = functools.lru_cache(maxsize=1)(_network)
 
 
-def _estimate_one(piece: tuple[Path, Path, Options]) -> None:
+def _estimate_one(piece: tuple["_Job", Options]) -> None:
     """One folder, in a process that may have had others before."""
-    folder, target, options = piece
+    job, options = piece
     start_jax()
     network = _cached_network(dataclasses.replace(options, folders=()))
-    estimate_folder(folder, target, network, options.how, overwrite=options.overwrite)
+    estimate_folder(
+        job.folder, job.target, network, job.how, overwrite=options.overwrite
+    )
 
 
-def _report(failed: list[str], targets: dict[Path, Path], output: Path) -> None:
+def _report(failed: list[str], jobs: list["_Job"], output: Path) -> None:
     if failed:
         raise InputError(
-            f"{len(failed)} of {len(targets)} folders gave no normals: "
+            f"{len(failed)} of {len(jobs)} folders gave no normals: "
             f"{', '.join(failed)}; the others are in {output}"
         )
+
+
+class _Job(NamedTuple):
+    """A folder, or one view of it, the place of its results, and how it is read."""
+
+    folder: Path
+    target: Path
+    how: FolderOptions
+
+    @property
+    def title(self) -> str:
+        """What messages call it."""
+        if self.target.name == folder_name(self.folder):
+            return str(self.folder)
+        return f"{self.folder} ({self.target.name})"
+
+
+def _jobs(options: Options) -> list[_Job]:
+    """What is to be estimated: every folder, or every view of them."""
+    jobs: dict[Path, _Job] = {}
+    for folder, target in _targets(options).items():
+        if options.pause is None:
+            found = [_Job(folder, target, options.how)]
+        else:
+            found = _views(folder, target, options.how, options.pause)
+        for job in found:
+            if job.target in jobs:
+                raise InputError(
+                    f"{job.title}: expected folders and views of different names, got "
+                    f"one named as that of {jobs[job.target].title}; run them one by "
+                    "one with different -o"
+                )
+            jobs[job.target] = job
+    return list(jobs.values())
+
+
+def _views(folder: Path, target: Path, how: FolderOptions, pause: float) -> list[_Job]:
+    """A folder's views, told apart by the times of its photographs."""
+    if not pause >= 0:
+        raise InputError(f"--pause: expected seconds, 0 or more, got {pause}")
+    selection = select(folder, include=how.include, exclude=how.exclude)
+    mask = how.mask if isinstance(how.mask, Path) else selection.mask_file
+    if mask is not None and how.mask != "none":
+        raise InputError(
+            f"{mask}: expected no mask with --pause, since views differ; put the "
+            "photographs of each view into a folder of their own, with its mask, or "
+            "give --mask none"
+        )
+    views = views_by_time(selection.files, pause)
+    counts = " + ".join(str(len(view)) for view in views)
+    print(f"{folder}: {len(views)} views, of {counts} photographs")
+    return [
+        _Job(
+            folder,
+            target.with_name(f"{target.name}-{index:02}"),
+            dataclasses.replace(how, include=tuple(glob.escape(f.name) for f in view)),
+        )
+        for index, view in enumerate(views)
+    ]
 
 
 def _targets(options: Options) -> dict[Path, Path]:

@@ -23,6 +23,7 @@ from unips_jax.io.formats.encoded import (
     known_code,
 )
 from unips_jax.io.formats.exr import quiet
+from unips_jax.io.formats.tiff import raw_time
 
 _FLIPS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's and EXIF's orientations
 _BOXES = 1 << 20  # bytes at the beginning, in which what describes the picture lies
@@ -69,6 +70,7 @@ def open_raw(data: bytes, name: str) -> Encoded:
         dtype,
         decode,
         orientation=orientation,
+        taken=raw_time(data),
     )
 
 

@@ -1,6 +1,7 @@
 """A file whose header was read, and why one is not."""
 
 import dataclasses
+import datetime
 import math
 import re
 import warnings
@@ -14,6 +15,7 @@ from unips_jax.io.color import CURVES, Encoding, encoding_of
 
 _ORIENTATION, _EXIF, _FOCAL_35MM, _COLOURS = 0x0112, 0x8769, 0xA405, 0xA001
 _MAKER, _MODEL, _TIME, _APERTURE, _SPEED = 0x010F, 0x0110, 0x829A, 0x829D, 0x8827
+_TAKEN, _FRACTION = 0x9003, 0x9291
 _BOX_COLOURS = re.compile(rb"colrncl[xc]..(..)", re.DOTALL)
 _UNSPECIFIED = (0, 2)  # transfer codes
 
@@ -55,6 +57,7 @@ class Encoded:
     camera: str = ""  # its maker and model; empty where unknown
     # seconds times ISO speed over the squared f-number; 0 where unknown
     exposure: float = 0
+    taken: float = 0  # when, in seconds of the camera's clock; 0 where unknown
 
     @property
     def encoding(self) -> Encoding:
@@ -82,7 +85,20 @@ def exif_facts(block: bytes) -> dict[str, Any]:
     facts = facts_of(tags.get(_ORIENTATION), tags.get(_FOCAL_35MM), tags.get(_COLOURS))
     names = (tags.get(_MAKER), tags.get(_MODEL))
     camera = " ".join(n.strip("\0 ") for n in names if isinstance(n, str)).strip()
-    return {**facts, "camera": camera, "exposure": _exposure(tags)}
+    taken = time_of(tags.get(_TAKEN), tags.get(_FRACTION))
+    return {**facts, "camera": camera, "exposure": _exposure(tags), "taken": taken}
+
+
+def time_of(taken: object, fraction: object = "") -> float:
+    """Seconds by EXIF's text of a time and its fraction of a second, or 0."""
+    try:
+        text = str(taken).strip("\0 ")
+        time = datetime.datetime.strptime(text, "%Y:%m:%d %H:%M:%S")
+    except ValueError:
+        return 0
+    digits = str(fraction).strip("\0 ")
+    part = float(f"0.{digits}") if digits.isdecimal() and digits.isascii() else 0
+    return time.replace(tzinfo=datetime.UTC).timestamp() + part
 
 
 def _exposure(tags: dict[int, object]) -> float:

@@ -11,12 +11,18 @@ import io
 import logging
 import struct
 import threading
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import tifffile
 
-from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, facts_of
+from unips_jax.io.formats.encoded import (
+    Damaged,
+    Encoded,
+    NotRead,
+    facts_of,
+    time_of,
+)
 
 _BIG = (b"II+\0", b"MM\0+")
 MAGICS = (b"II*\0", b"MM\0*", *_BIG)
@@ -111,8 +117,7 @@ def open_tiff(data: bytes) -> Encoded:
             return (np.asarray(page.colormap)[:, pixels] >> 8).transpose(1, 2, 0)
         return _scaled(pixels, bits, page.photometric == _WHITE_IS_ZERO, colours)
 
-    exif = tags.valueof(_EXIF)
-    exif = exif if isinstance(exif, dict) else {}
+    exif = _exif(page)
     facts = exif.get("FocalLengthIn35mmFilm"), exif.get("ColorSpace")
     return Encoded(
         "TIFF",
@@ -124,8 +129,26 @@ def open_tiff(data: bytes) -> Encoded:
         lambda: decode().astype(np.uint8 if palette else kind, copy=False),
         allocated=_tiled_size(page),
         icc=bytes(tags.valueof(_ICC) or b""),
+        taken=_taken(exif),
         **facts_of(tags.valueof(274), *facts),  # type: ignore[arg-type]
     )
+
+
+def raw_time(data: bytes) -> float:
+    """When a raw file that has the form of a TIFF was taken; 0 where unknown."""
+    try:
+        return _taken(_exif(tifffile.TiffFile(io.BytesIO(data)).pages.first))
+    except Exception:  # other forms, and damaged ones
+        return 0
+
+
+def _exif(page: Any) -> dict[str, Any]:
+    exif = page.tags.valueof(_EXIF)
+    return exif if isinstance(exif, dict) else {}
+
+
+def _taken(exif: dict[str, Any]) -> float:
+    return time_of(exif.get("DateTimeOriginal"), exif.get("SubsecTimeOriginal", ""))
 
 
 def raw_kind(data: bytes) -> str:

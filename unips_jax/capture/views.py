@@ -1,0 +1,31 @@
+"""Photographs of several places of the camera, told apart by when they were taken."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from unips_jax.errors import InputError
+from unips_jax.io.images import image_header, read_bytes
+
+
+def views_by_time(files: Sequence[Path], pause: float) -> list[list[Path]]:
+    """Sorts photographs by time; a pause of more than so many seconds begins a view.
+
+    Raises:
+        InputError: if a photograph's EXIF data do not say when it was taken.
+    """
+    times = {file: image_header(read_bytes(file), file).taken for file in files}
+    unknown = [file for file, time in times.items() if not time]
+    if unknown:
+        raise InputError(
+            f"{unknown[0]}: expected EXIF data that say when it was taken, got none in "
+            f"{len(unknown)} of {len(times)} photographs; put those of each view into "
+            "a folder of their own"
+        )
+    views: list[list[Path]] = []
+    last = -float("inf")
+    for file in sorted(files, key=lambda file: (times[file], file.name)):
+        if times[file] - last > pause:
+            views.append([])
+        views[-1].append(file)
+        last = times[file]
+    return views
