@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL_OURS, lively_weights
+from small_networks import SHALLOW_OURS, lively_weights
 
 from unips_jax.models.light_tokens import LightGuess
 from unips_jax.models.network import UniversalNetwork
@@ -61,7 +61,7 @@ BLOCKS = LossOptions(num_pixels=400, grid_loss=False, pixel_blocks=True)
 
 def test_whole_objects_have_the_same_error_in_blocks(monkeypatch):
     """All pixels drawn: blocks change their order, and pieces change nothing."""
-    network = UniversalNetwork(SMALL_OURS, lively_weights(SMALL_OURS))
+    network = UniversalNetwork(SHALLOW_OURS, lively_weights(SHALLOW_OURS))
     keys = jax.random.split(jax.random.key(1), 2)
 
     def run(options):
@@ -115,7 +115,7 @@ def test_right_guesses_cost_nothing():
 
 def test_every_new_parameter_has_a_gradient():
     config = dataclasses.replace(
-        SMALL_OURS, fine_dim=5, light_tokens=True, known_lights=True
+        SHALLOW_OURS, fine_dim=5, light_tokens=True, known_lights=True
     )
     rng = np.random.default_rng(1)
     shared = jnp.ones((2, 3), bool)
@@ -153,7 +153,7 @@ def test_every_new_parameter_has_a_gradient():
 
 def test_settings_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="expected no grid_loss"):
-        Config(model=dataclasses.replace(SMALL_OURS, fine_dim=5))
+        Config(model=dataclasses.replace(SHALLOW_OURS, fine_dim=5))
     with pytest.raises(ValueError, match="expected blocks of pixels"):
         Config(train=TrainConfig(steepness_weight=1.0))
     with pytest.raises(ValueError, match="pixel_blocks: expected no grid_loss"):

@@ -95,6 +95,7 @@ def test_borders_mix_with_the_background(disc):
     np.testing.assert_array_equal(sharp, images)
 
 
+@pytest.mark.slow  # two programs of scenes
 def test_scenes_know_the_truth_below_their_masks():
     options = {"rotation_candidates": 2, "num_directions": 8}
     options["shape_weights"] = (1, 1, 0, 1, 0, 0, 0)

@@ -253,8 +253,8 @@ def test_widened_networks_are_the_same_function():
     pixels = jax.random.uniform(jax.random.key(1), (5, 3, 3))
     places = jax.numpy.linspace(0.0, 3.0, 5)
     inputs = images, pixels, places, places
-    expected = EncoderDecoder(narrow).apply({"params": params}, *inputs)
-    found = EncoderDecoder(wide).apply({"params": made}, *inputs)
+    expected = jax.jit(EncoderDecoder(narrow).apply)({"params": params}, *inputs)
+    found = jax.jit(EncoderDecoder(wide).apply)({"params": made}, *inputs)
     np.testing.assert_allclose(found, expected, atol=2e-4)
     # Twins are told apart: their rows differ.
     kernel = made["decoder"]["prediction"]["fc1"]["kernel"]

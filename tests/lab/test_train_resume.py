@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 import pytest
-from small_networks import SMALL_OURS
+from small_networks import SHALLOW_OURS
 from training_runs import (
     CONFIG,
     DATA,
@@ -104,8 +104,7 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(
             DATA, source="mixture", root=folders, num_images=(2, 3)
         )
         # Scenes tell where their lights are, folders do not.
-        model = dataclasses.replace(SMALL_OURS, depths=(1,), num_heads=(2,))
-        config = dataclasses.replace(CONFIG, data=data, model=model)
+        config = dataclasses.replace(CONFIG, data=data, model=SHALLOW_OURS)
         whole = tmp_path / "whole"
         finish(start(whole, config))
     kill_while_writing(workdir, config, complete=0)

@@ -45,7 +45,7 @@ from browser import ABSENT, browser, pixels
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import Select
-from small_networks import SMALL_OURS, lively_network
+from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax.weights import save_weights
 
@@ -66,7 +66,7 @@ def server(tmp_path_factory):
 def stand_in(tmp_path_factory):
     """With a network that compiles in seconds; its normals mean nothing."""
     place = tmp_path_factory.mktemp("stand-in")
-    save_weights(place / "small.safetensors", lively_network(SMALL_OURS))
+    save_weights(place / "small.safetensors", lively_network(SHALLOW_OURS))
     there = Server(place / "results", "--weights", str(place / "small.safetensors"))
     yield there
     there.end()

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
-from small_networks import SMALL_OURS as CONFIG
+from small_networks import SHALLOW_OURS as CONFIG
 from small_networks import lively_network, lively_weights
 
 from unips_jax.models.encoding import Guesses
@@ -26,7 +26,11 @@ def contexts(sets=2, images=3):
 
 
 def test_begins_as_the_identity_and_changes_the_contexts():
-    begun, _ = agreement(init_params(CONFIG, jax.random.key(0)))(contexts())
+    # Compiled for this part alone: all of it, uncompiled, takes a minute.
+    part = jax.jit(lambda key: init_params(CONFIG, key)["encoder"]["consensus"])
+    begun, _ = agreement({"encoder": {"consensus": part(jax.random.key(0))}})(
+        contexts()
+    )
     np.testing.assert_array_equal(begun, contexts())
     changed, _ = agreement(lively_weights(CONFIG))(contexts())
     assert abs(changed - contexts()).max(axis=-1).min() > 1e-3

@@ -10,7 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL, SMALL_OURS, lively_network, with_dtype
+from small_networks import (
+    SHALLOW_OURS,
+    SMALL,
+    SMALL_OURS,
+    lively_network,
+    with_dtype,
+)
 
 from unips_jax import estimate_normals
 from unips_jax.estimation import pure
@@ -134,7 +140,7 @@ class OneView(SelfCalibratingConfig):
 def test_mirror_averages_with_the_mirrored_images():
     """And so does its gradient; mirrored images give the mirrored normals."""
     images, mask = photographs()
-    config, network = SMALL_OURS, lively_network(SMALL_OURS)
+    config, network = SHALLOW_OURS, lively_network(SHALLOW_OURS)
     sizes = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
     del sizes["network"]
     one_view = dataclasses.replace(network, config=OneView(**sizes))

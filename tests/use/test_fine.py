@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL_OURS, lively_weights
+from small_networks import SHALLOW_OURS, lively_weights
 
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.models import ops
@@ -20,12 +20,12 @@ from unips_jax.models.views import (
     photograph_views,
 )
 
-GROWN = dataclasses.replace(SMALL_OURS, fine_dim=5, light_tokens=True)
+GROWN = dataclasses.replace(SHALLOW_OURS, fine_dim=5, light_tokens=True)
 
 
 def grown_params(changed=False):
     """Those of the small network, with new parts as they begin, or changed."""
-    old = lively_weights(SMALL_OURS)
+    old = lively_weights(SHALLOW_OURS)
     new = lively_weights(GROWN)
     fine, tokens = new["encoder"]["fine"], new["encoder"]["consensus"]["tokens"]
     if not changed:
@@ -47,7 +47,7 @@ def photographs():
 
 def test_new_parts_begin_as_the_identity(photographs):
     images, mask = photographs
-    before = UniversalNetwork(SMALL_OURS, lively_weights(SMALL_OURS))
+    before = UniversalNetwork(SHALLOW_OURS, lively_weights(SHALLOW_OURS))
     after = UniversalNetwork(GROWN, grown_params())
     plain = estimate_normals(before, images, mask)
     np.testing.assert_allclose(estimate_normals(after, images, mask), plain, atol=2e-5)
@@ -95,24 +95,25 @@ def test_views_of_photographs_are_those_of_arrays(photographs):
     in_jax = make_views(normalize_images(images, mask), jnp.asarray(mask), GROWN)
     assert on_host.images.shape[-1] == 13
     np.testing.assert_allclose(on_host.images, in_jax.images, atol=1e-5)
-    plain = make_views(normalize_images(images, mask), jnp.asarray(mask), SMALL_OURS)
+    plain = make_views(normalize_images(images, mask), jnp.asarray(mask), SHALLOW_OURS)
     np.testing.assert_allclose(in_jax.images[..., :4], plain.images, atol=1e-6)
 
 
 def test_the_kinds_of_light_are_guessed(photographs):
     images, mask = photographs
     views = make_views(normalize_images(images, mask), jnp.asarray(mask), GROWN)
-    guesses = encode(UniversalNetwork(GROWN, grown_params()), views).guesses
+    run = jax.jit(encode)
+    guesses = run(UniversalNetwork(GROWN, grown_params()), views).guesses
     assert guesses.kinds.harmonics.shape == (2, 3, 9, 3)
     assert (guesses.kinds.nearness >= 0).all()
-    plain = UniversalNetwork(SMALL_OURS, lively_weights(SMALL_OURS))
-    views = make_views(normalize_images(images, mask), jnp.asarray(mask), SMALL_OURS)
+    plain = UniversalNetwork(SHALLOW_OURS, lively_weights(SHALLOW_OURS))
+    views = make_views(normalize_images(images, mask), jnp.asarray(mask), SHALLOW_OURS)
     np.testing.assert_allclose(
-        guesses.lights, encode(plain, views).guesses.lights, atol=1e-5
+        guesses.lights, run(plain, views).guesses.lights, atol=1e-5
     )
 
 
 def test_weights_without_them_keep_their_json():
-    text = to_json(SMALL_OURS)
+    text = to_json(SHALLOW_OURS)
     assert "fine_dim" not in text and "light_tokens" not in text
     assert from_json(type(GROWN), to_json(GROWN)) == GROWN

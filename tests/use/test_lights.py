@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from plain_objects import hemisphere
-from small_networks import SMALL_OURS, lively_network
+from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax import estimate_lights
 from unips_jax.cli.estimate import main as estimate
@@ -245,7 +245,7 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
         cv2.imwrite(str(folder / f"{index}.png"), encoded[..., ::-1])
     cv2.imwrite(str(folder / "mask.png"), np.uint8(255 * MASK))
     weights = tmp_path / "small.safetensors"
-    save_weights(weights, lively_network(SMALL_OURS))
+    save_weights(weights, lively_network(SHALLOW_OURS))
     given = [str(folder), "-o", str(tmp_path / "out"), "--weights", str(weights)]
     every = ["--lights", "--base-color", "--rti", "--confidence"]
     assert estimate([*given, *every]) == 0
@@ -268,7 +268,7 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
     found = json.loads((out / "lights.json").read_text())["photographs"]
     # What the network guesses, here a random one.
     images, mask, transfer = read_photographs(folder)
-    network = lively_network(SMALL_OURS)
+    network = lively_network(SHALLOW_OURS)
     _, guesses = estimate_with_lights(network, images, mask, transfer=transfer)
     directions = np.array([light["direction"] for light in found])
     assert angles(directions, guesses).max() < 0.1

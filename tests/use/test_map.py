@@ -9,7 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from small_networks import SMALL_OURS, lively_network
+from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax.weights import save_weights
 
@@ -42,7 +42,7 @@ def files_called(tmp_path):
         light = np.clip((x * right + y * down + z) * 200, 0, 255) * inside
         cv2.imwrite(str(folder / f"{i}.png"), light.astype(np.uint8))
     cv2.imwrite(str(folder / "mask.png"), inside.astype(np.uint8) * 255)
-    save_weights(tmp_path / "small.safetensors", lively_network(SMALL_OURS))
+    save_weights(tmp_path / "small.safetensors", lively_network(SHALLOW_OURS))
     asked = [str(folder), "-o", str(tmp_path / "out")]
     asked += ["--weights", str(tmp_path / "small.safetensors")]
     run = subprocess.run(

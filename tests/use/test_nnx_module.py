@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
-from small_networks import SMALL_OURS, lively_network
+from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax import NnxNetwork, estimate_normals, load_weights
 from unips_jax.errors import InputError
@@ -17,7 +17,7 @@ from unips_jax.errors import InputError
 
 @pytest.fixture(scope="module")
 def network():
-    return lively_network(SMALL_OURS)
+    return lively_network(SHALLOW_OURS)
 
 
 @pytest.fixture(scope="module")
@@ -52,13 +52,13 @@ def test_a_folder_comes_back_with_what_was_trained(network, seen, tmp_path):
     ]
     config = json.loads((folder / "config.json").read_text())
     assert config["kind"] == "SelfCalibratingConfig"
-    assert config["config"]["embed_dim"] == SMALL_OURS.embed_dim
+    assert config["config"]["embed_dim"] == SHALLOW_OURS.embed_dim
     assert "license: apache-2.0" in (folder / "README.md").read_text()
     again = NnxNetwork.from_pretrained(folder)
-    assert again.config == SMALL_OURS
+    assert again.config == SHALLOW_OURS
     for a, b in zip(*map(jax.tree.leaves, (again.network, model.network)), strict=True):
         np.testing.assert_array_equal(a, b)
-    assert load_weights(folder / "model.safetensors").config == SMALL_OURS
+    assert load_weights(folder / "model.safetensors").config == SHALLOW_OURS
     (folder / "README.md").write_text("my own words")
     model.save_pretrained(folder)
     assert (folder / "README.md").read_text() == "my own words"
@@ -69,7 +69,7 @@ def test_a_hubs_model_is_fetched(network, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     hub = SimpleNamespace(snapshot_download=lambda name, **_: tmp_path / "cache")
     monkeypatch.setitem(sys.modules, "huggingface_hub", hub)
-    assert NnxNetwork.from_pretrained("user/mine").config == SMALL_OURS
+    assert NnxNetwork.from_pretrained("user/mine").config == SHALLOW_OURS
 
     def offline(name, **_):
         raise OSError("no route to host")

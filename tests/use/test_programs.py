@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from small_networks import SMALL_OURS, lively_network
+from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax.estimation import programs, streaming
 from unips_jax.estimation.programs import kept
@@ -97,7 +97,7 @@ def disc(size, count=3):
 
 def test_an_estimate_compiles_two_programs():
     """Whatever the photographs' size: nothing else of it runs in JAX."""
-    network, compiled = lively_network(SMALL_OURS), []
+    network, compiled = lively_network(SHALLOW_OURS), []
 
     def listen(event, *_, **__):
         if event == "/jax/core/compile/backend_compile_duration":
@@ -114,7 +114,7 @@ def test_an_estimate_compiles_two_programs():
 
 
 def test_fast_is_nearly_the_same_with_the_mirrored_view_at_few_pixels(monkeypatch):
-    network = lively_network(SMALL_OURS)
+    network = lively_network(SHALLOW_OURS)
     images, mask = disc(240)
     # Photographs are smooth: so is what the mirrored view changes.
     coarse = np.linspace(0, 1, 240, dtype=np.float32)
@@ -144,4 +144,4 @@ def test_errors_of_a_thread_are_raised(monkeypatch):
 
     monkeypatch.setattr(streaming, "_decode", broken)
     with pytest.raises(MemoryError, match="this chunk"):
-        estimate_photographs(lively_network(SMALL_OURS), *disc(37))
+        estimate_photographs(lively_network(SHALLOW_OURS), *disc(37))
