@@ -21,7 +21,7 @@ from typing import Any
 from unips_jax.errors import InputError
 from unips_jax.evaluation.variants import (
     Variant,
-    check_types,
+    built,
     described,
     hashed,
     label_of,
@@ -67,14 +67,8 @@ def _made(
 ) -> Variant:
     oracle = take_oracle(options)
     make, file = _factory(request, module, factory)
-    try:
-        check_types(make, options)
-        method = make(**options)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"method {request!r}: {error}; {factory} is called with the options and "
-            "returns the method"
-        ) from error
+    advice = f"; {factory} is called with the options and returns the method"
+    method = built(request, make, options, advice=advice)
     if not callable(method):
         raise InputError(
             f"method {request!r}: expected {factory} to return a method, a function of "

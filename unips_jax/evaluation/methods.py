@@ -28,7 +28,7 @@ from unips_jax.evaluation.normal_files import from_files
 from unips_jax.evaluation.registry import BASELINES, CLASSICAL, NAMES
 from unips_jax.evaluation.variants import (
     Variant,
-    check_types,
+    built,
     described,
     hashed,
     label_of,
@@ -103,11 +103,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
         factory: Callable[..., Method] = getattr(module, baseline.factory)
     except (ModuleNotFoundError, AttributeError) as error:
         raise InputError(f"method {name!r} is not in this version") from error
-    try:
-        check_types(factory, options)
-        method = factory(**options)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"method {request!r}: {error}") from error
+    method = built(request, factory, options)
     key["method_code"] = code_hash(f"baselines.{baseline.module}")
     # Two readings of one paper: every row says which.
     defaults = inspect.signature(factory).parameters

@@ -24,8 +24,8 @@ from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.variants import (
     Variant,
+    built,
     bytes_hash,
-    check_types,
     described,
     label_of,
     parse_options,
@@ -139,11 +139,7 @@ def from_files(request: str) -> Variant:
     options = parse_options(request, rest)
     oracle = take_oracle(options)
     name = str(options.pop("name", Path(folder).resolve().name))
-    try:
-        check_types(normal_files, options)
-        found = normal_files(folder, **options)
-    except TypeError as error:
-        raise InputError(f"method {request!r}: {error}") from error
+    found = built(request, normal_files, options, folder)
     key = {
         "method": "files",
         "options": options,

@@ -48,8 +48,22 @@ def parse_options(request: str, text: str) -> dict[str, Any]:
     return options
 
 
-def check_types(factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """Raises `TypeError` for an option whose value the signature does not allow."""
+def built(
+    request: str,
+    factory: Callable[..., Any],
+    options: Mapping[str, Any],
+    *first: Any,
+    advice: str = "",
+) -> Any:
+    """What a factory makes of options that its signature allows, after `first`."""
+    try:
+        _check_types(factory, options)
+        return factory(*first, **options)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"method {request!r}: {error}{advice}") from error
+
+
+def _check_types(factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
     try:
         kinds = typing.get_type_hints(factory)
     except (NameError, TypeError):  # names that only type checkers see
