@@ -259,7 +259,8 @@ def test_what_a_row_must_tell_is_in_its_label(tmp_path):
 
 
 def test_unips_variants_get_their_own_settings(tmp_path, monkeypatch):
-    def estimate(network, images, mask, *, uniform_contexts):
+    def estimate(network, images, mask, *, lights, fast, uniform_contexts):
+        assert lights is None and not fast
         return network.config.canonical_size, uniform_contexts
 
     monkeypatch.setattr(streaming, "estimate_photographs", estimate)
