@@ -197,11 +197,7 @@ def _project(values: Array, inverse: Array) -> Array:
 
 
 def _trimmed(
-    values: Array,
-    directions: Array,
-    *,
-    keep: tuple[float, float],
-    shadow: float | None,
+    values: Array, directions: Array, *, keep: tuple[float, float], shadow: float | None
 ) -> Array:
     """Least squares on the values within the rank range and above the shadows."""
     count = values.shape[0]

@@ -130,9 +130,7 @@ def _alike(
         shown = [f"{name} has {of(headers[name])}" for name in others]
         found.append(
             Finding(
-                kind,
-                f"{kind}: {some(shown)}, the others {usual}; {fix}",
-                tuple(others),
+                kind, f"{kind}: {some(shown)}, the others {usual}; {fix}", tuple(others)
             )
         )
         names -= set(others)

@@ -19,10 +19,7 @@ import numpy as np
 import tyro
 
 from unips_jax.console import command, parse, start_jax
-from unips_jax.estimation.folders import (
-    estimate_selection,
-    load_network,
-)
+from unips_jax.estimation.folders import estimate_selection, load_network
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.writing import write_estimate
 from unips_jax.io.ps_wild import PSWildFolders, read_object

@@ -16,14 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import tyro
 
 from unips_jax.cli.cluster import RayOptions, spread
-from unips_jax.console import (
-    command,
-    one_of,
-    parse,
-    print_table,
-    start_jax,
-    track,
-)
+from unips_jax.console import command, one_of, parse, print_table, start_jax, track
 from unips_jax.errors import InputError
 from unips_jax.evaluation import plan as planning
 from unips_jax.evaluation.benchmarks import BENCHMARKS, Benchmark, open_benchmark

@@ -59,9 +59,7 @@ BASELINES: dict[str, Baseline] = {
         "Least squares (Woodham, 1980), calibrated", "calibrated", "woodham"
     ),
     "l1": Baseline(
-        "Least absolute residuals by reweighting, calibrated",
-        "calibrated",
-        "robust_l1",
+        "Least absolute residuals by reweighting, calibrated", "calibrated", "robust_l1"
     ),
     "sbl": Baseline(
         "Sparse Bayesian learning (Ikehata et al., CVPR 2012), calibrated",
@@ -93,9 +91,7 @@ BASELINES: dict[str, Baseline] = {
         "first_order_harmonics",
     ),
     "hemisphere": Baseline(
-        "Floor: a balloon over the mask, images not looked at",
-        "balloon",
-        "hemisphere",
+        "Floor: a balloon over the mask, images not looked at", "balloon", "hemisphere"
     ),
     "constant": Baseline(
         "Floor: every normal towards the viewer", "constant", "constant"

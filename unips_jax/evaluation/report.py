@@ -46,11 +46,7 @@ class Exhibit(NamedTuple):
 
 
 def exhibit(
-    name: str,
-    caption: str,
-    sheet_png: bytes,
-    case: Case,
-    panels: Sequence[Panel],
+    name: str, caption: str, sheet_png: bytes, case: Case, panels: Sequence[Panel]
 ) -> Exhibit:
     """Packs an object's pictures."""
     window = frame(case.observed.mask)

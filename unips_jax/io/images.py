@@ -95,11 +95,7 @@ def read_bytes(path: Path, *, max_pixels: int = MAX_PIXELS) -> bytes:
 
 
 def decode_image(
-    data: bytes,
-    path: Path,
-    *,
-    vectors: bool = False,
-    max_pixels: int = MAX_PIXELS,
+    data: bytes, path: Path, *, vectors: bool = False, max_pixels: int = MAX_PIXELS
 ) -> ImageFile:
     """Decodes an image file's contents, as `read_image_file` does."""
     header = _header(data, path, vectors, max_pixels)

@@ -21,19 +21,8 @@ import scipy.ndimage
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image_file
 from unips_jax.io.naming import VIDEO_SUFFIXES
-from unips_jax.io.normal_values import (
-    LEAST,
-    OVERRULE,
-    UNIT,
-    decode_values,
-    foreground,
-)
-from unips_jax.io.normals import (
-    NormalMap,
-    decode_normals,
-    read_numbers,
-    turn_normals,
-)
+from unips_jax.io.normal_values import LEAST, OVERRULE, UNIT, decode_values, foreground
+from unips_jax.io.normals import NormalMap, decode_normals, read_numbers, turn_normals
 from unips_jax.io.record import print_line
 from unips_jax.io.record_schema import load_record
 from unips_jax.io.results import RECORD

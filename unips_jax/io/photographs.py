@@ -20,12 +20,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import Encoding, Transfer
-from unips_jax.io.images import (
-    MAX_PIXELS,
-    ImageFile,
-    read_image_file,
-    require_finite,
-)
+from unips_jax.io.images import MAX_PIXELS, ImageFile, read_image_file, require_finite
 from unips_jax.io.masks import above_half, lit_pixels, lit_without_mask, mask_of
 from unips_jax.io.orientation import oriented_as
 from unips_jax.io.selection import Selection, select
@@ -143,11 +138,7 @@ class _Stack:
     """Photographs that are read one by one, each compared with the first."""
 
     def __init__(
-        self,
-        first: ImageFile,
-        count: int,
-        mask: np.ndarray,
-        transfer: Transfer | None,
+        self, first: ImageFile, count: int, mask: np.ndarray, transfer: Transfer | None
     ) -> None:
         self.first = dataclasses.replace(first, pixels=first.pixels[:0], alpha=None)
         self.mask = mask

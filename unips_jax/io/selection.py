@@ -20,11 +20,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.light_list import read_light_list
-from unips_jax.io.naming import (
-    RAW_SUFFIXES,
-    VIDEO_SUFFIXES,
-    each_once,
-)
+from unips_jax.io.naming import RAW_SUFFIXES, VIDEO_SUFFIXES, each_once
 
 SUFFIXES = RAW_SUFFIXES | frozenset(
     ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split()

@@ -184,10 +184,7 @@ def _size(off: np.ndarray) -> np.ndarray:
 
 
 def _sample(
-    images: np.ndarray,
-    normals: np.ndarray,
-    mask: np.ndarray | None,
-    transfer: Transfer,
+    images: np.ndarray, normals: np.ndarray, mask: np.ndarray | None, transfer: Transfer
 ) -> tuple[np.ndarray, np.ndarray]:
     """Some pixels, `[N, P, 3]`, and their normals, `[P, 3]`; float64."""
     if images.ndim != 4 or images.shape[-1] != 3:

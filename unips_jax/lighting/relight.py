@@ -19,11 +19,7 @@ from unips_jax.lighting.environment import (
     harmonic_light,
     look_up,
 )
-from unips_jax.lighting.reflectance import (
-    Surface,
-    environment_reflectance,
-    reflectance,
-)
+from unips_jax.lighting.reflectance import Surface, environment_reflectance, reflectance
 
 
 class Materials(NamedTuple):

@@ -104,9 +104,7 @@ def shade_key_light(
 
 
 def shade_environment(
-    geometry: Geometry,
-    surface: Surface,
-    environment: Environment,
+    geometry: Geometry, surface: Surface, environment: Environment
 ) -> tuple[Array, Array]:
     """Radiance under the environment in all its N rotations, `[N, 3, P]` for P = H W.
 

@@ -17,13 +17,7 @@ from unips_jax.scenes.sdf import (
     pack,
     profile_through,
 )
-from unips_jax.scenes.slots import (
-    LATHE,
-    TRAITS,
-    bounding_sphere,
-    draw_slots,
-    is_flat,
-)
+from unips_jax.scenes.slots import LATHE, TRAITS, bounding_sphere, draw_slots, is_flat
 
 # Columns: chance of waves, least and greatest slope, least and greatest frequency.
 _WAVES = np.array(

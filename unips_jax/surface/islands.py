@@ -3,13 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from unips_jax.surface.equations import (
-    links,
-    to_bottom,
-    to_left,
-    to_right,
-    to_top,
-)
+from unips_jax.surface.equations import links, to_bottom, to_left, to_right, to_top
 
 
 def label_islands(inside: jax.Array) -> jax.Array:

@@ -19,13 +19,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from unips_jax.surface.equations import (
-    Edges,
-    balance,
-    differences,
-    to_bottom,
-    to_right,
-)
+from unips_jax.surface.equations import Edges, balance, differences, to_bottom, to_right
 
 # The eigenvalues of D^-1 A that Chebyshev smoothing damps; 2 bounds all of them.
 _LOW, _HIGH = 0.35, 2.0

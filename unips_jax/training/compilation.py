@@ -14,8 +14,7 @@ Step = Callable[[TrainState, Batch, jax.Array], tuple[TrainState, dict[str, jax.
 
 
 def compile_together(
-    step: Any,
-    compiling: Callable[[str], AbstractContextManager[None]],
+    step: Any, compiling: Callable[[str], AbstractContextManager[None]]
 ) -> Step:
     """The jitted step; no process runs it before all have compiled it.
 

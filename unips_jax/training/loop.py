@@ -35,20 +35,11 @@ from unips_jax.training.safety import (
     check_memory,
     stop_on_sigterm,
 )
-from unips_jax.training.sharding import (
-    make_mesh,
-    replicated,
-    state_sharding,
-    to_host,
-)
+from unips_jax.training.sharding import make_mesh, replicated, state_sharding, to_host
 from unips_jax.training.state import TrainState, init_state, new_state
 from unips_jax.training.step import Batch, train_step
 from unips_jax.training.tracking import Sink
-from unips_jax.training.validation import (
-    score_table,
-    validate,
-    validation_pictures,
-)
+from unips_jax.training.validation import score_table, validate, validation_pictures
 from unips_jax.weights import load_weights, save_weights
 
 # glibc gives large buffers back to the system at every call, which clears every page

@@ -52,10 +52,7 @@ def _update_rule(config: OptimConfig, steps: int) -> optax.GradientTransformatio
     schedule = make_schedule(config, steps)
     if config.name == "adamw":
         rule = optax.adamw(
-            schedule,
-            b2=config.b2,
-            weight_decay=config.weight_decay,
-            mask=is_kernel,
+            schedule, b2=config.b2, weight_decay=config.weight_decay, mask=is_kernel
         )
     else:
         rule = optax.contrib.muon(

@@ -40,12 +40,7 @@ def held_out_key(index: int) -> jax.Array:
 
 
 def held_out_scenes(
-    scenes: SceneConfig,
-    *,
-    count: int,
-    num_images: int,
-    size: int,
-    **scene_options: Any,
+    scenes: SceneConfig, *, count: int, num_images: int, size: int, **scene_options: Any
 ) -> Iterator[Scene]:
     """Held-out scenes; arguments as in `validate`."""
     meshes = load_meshes(scenes)
@@ -103,12 +98,7 @@ def validate(
     """
     errors: dict[str, list[float]] = {}
     held_out = estimate_held_out(
-        network,
-        scenes,
-        count=count,
-        num_images=num_images,
-        size=size,
-        **scene_options,
+        network, scenes, count=count, num_images=num_images, size=size, **scene_options
     )
     for scene, normals in track(held_out, description, total=count):
         error = float(mean_angular_error_deg(normals, scene.normals, scene.mask))

@@ -59,7 +59,4 @@ def masked(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
 def resized(images: Array, mask: Array, side: int) -> tuple[Array, Array]:
     """Images `[N, H, W, 3]` and mask `[H, W]` at another size, half-pixel bilinear."""
     resize = functools.partial(jax.image.resize, method="linear", antialias=False)
-    return (
-        resize(images, (len(images), side, side, 3)),
-        resize(mask, (side, side)),
-    )
+    return (resize(images, (len(images), side, side, 3)), resize(mask, (side, side)))

@@ -132,10 +132,7 @@ def estimate_lights(
 
 
 def _uncalibrated(
-    name: Network,
-    weights: Weights,
-    normals: Method | None,
-    options: dict[str, Any],
+    name: Network, weights: Weights, normals: Method | None, options: dict[str, Any]
 ) -> Method:
     loaded = _loader(name, weights)
 

@@ -113,11 +113,7 @@ def _cost(last: Energy) -> float:
 
 
 def make_problem(
-    images: np.ndarray,
-    mask: np.ndarray,
-    *,
-    focal: float = np.inf,
-    clamp: bool = False,
+    images: np.ndarray, mask: np.ndarray, *, focal: float = np.inf, clamp: bool = False
 ) -> Problem:
     """Prepares images `[N, H, W, C]`, linear, of any scale, and the camera.
 

@@ -16,13 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import tifffile
 
-from unips_jax.io.formats.encoded import (
-    Damaged,
-    Encoded,
-    NotRead,
-    facts_of,
-    time_of,
-)
+from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, facts_of, time_of
 
 _BIG = (b"II+\0", b"MM\0+")
 MAGICS = (b"II*\0", b"MM\0*", *_BIG)
