@@ -40,18 +40,23 @@ def estimate_extras(
     transfer: Transfer,
     options: FolderOptions,
     *,
+    rig: Lights | np.ndarray | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Extras:
     """Estimates lights and confidence, as far as the options want them.
 
-    Images are `[N, H, W, 3]`, uint8, uint16 or float32; `found` is their estimate.
+    Images are `[N, H, W, 3]`, uint8, uint16 or float32; `found` is their estimate;
+    `rig` are lights, or directions, known from elsewhere (`lighting.rig`).
     """
     lights, confidence = None, None
-    if options.lights or options.base_color or options.rti:
+    if isinstance(rig, Lights):
+        lights = rig
+    elif options.lights or options.base_color or options.rti:
         from unips_jax.lighting.light_fit import estimate_lights
 
+        guesses = found.lights if rig is None else rig
         lights = estimate_lights(
-            images, found.normals, mask, guesses=found.lights, transfer=transfer
+            images, found.normals, mask, guesses=guesses, transfer=transfer
         )
     if options.confidence:
         from unips_jax.estimation.confidence import normal_spread

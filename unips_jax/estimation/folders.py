@@ -30,7 +30,12 @@ from unips_jax.io.record import (
     print_selection,
     same_inputs,
 )
-from unips_jax.io.results import check_target, clear_leftovers, read_record
+from unips_jax.io.results import (
+    check_target,
+    clear_leftovers,
+    file_hash,
+    read_record,
+)
 from unips_jax.io.selection import Selection
 from unips_jax.models.config import ModelConfig
 from unips_jax.provenance import code_hash
@@ -169,6 +174,11 @@ def estimate_selection(
 
     if verbose:
         print_selection(selection)
+    rig = None
+    if options.lights_from is not None:
+        from unips_jax.lighting.rig import read_rig
+
+        rig = read_rig(options.lights_from, selection.names)
     reader = HashingReader(options.max_pixels)
     looked = read_and_look(selection, options, reader, verbose=verbose)
     capture, warnings = looked.capture, looked.warnings
@@ -211,7 +221,9 @@ def estimate_selection(
             "extreme values in the photographs, or try other weights"
         )
     look = functools.partial(
-        estimate_extras, network.network, images, mask, found, transfer, options
+        estimate_extras,
+        *(network.network, images, mask, found, transfer, options),
+        rig=rig,
     )
     if verbose and options.confidence:
         with progress("estimating confidence") as report:
@@ -239,6 +251,10 @@ def _input_record(
     chosen["mask"] = "none" if options.mask == "none" else "auto"
     if options.dark is not None:
         chosen["dark"] = reader.hash(dark_file(selection.folder, options.dark))
+    if options.lights_from is not None:
+        from unips_jax.lighting.rig import rig_file
+
+        chosen["lights_from"] = file_hash(rig_file(options.lights_from))
     chosen |= {name: list(chosen[name]) for name in ("include", "exclude")}  # as JSON
     normals = selection.folder / "normal.tif"
     if options.reader == "official" and not selection.mask_file and normals.is_file():

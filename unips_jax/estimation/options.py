@@ -48,6 +48,9 @@ class FolderOptions:
         base_color: also write base_color.exr and base_color.png, the albedo.
         rti: also write a polynomial texture map, relight.ptm, and for web pages
             info.json and plane_*.jpg.
+        lights_from: for these three, the lights of an earlier capture by the same
+            lamps, a result with lights.json, or a list of directions (.lp), in place of
+            estimated ones; by the photographs' names, or in their order.
         confidence: also write how far normals spread over halves of the photographs,
             confidence.exr and .png, and unreliable.png, a mask; triples the time.
         all: write all of these, the depth and a mesh (GLB).
@@ -78,6 +81,7 @@ class FolderOptions:
     lights: bool = False
     base_color: bool = False
     rti: bool = False
+    lights_from: Annotated[Path | None, tyro.conf.arg(metavar="RESULT|FILE.lp")] = None
     confidence: bool = False
     all: bool = False
     view: bool = False
@@ -121,6 +125,13 @@ class FolderOptions:
             raise InputError(
                 f"--size {self.size}: results have the photographs' size; leave it "
                 "out, or add --reader official"
+            )
+        if self.lights_from is not None and not (
+            self.all or self.lights or self.base_color or self.rti
+        ):
+            raise InputError(
+                "--lights-from: expected something to use it for, got none; add "
+                "--base-color, --rti or --lights"
             )
         for option in ("register", "dark"):
             if self.reader == "official" and getattr(self, option):

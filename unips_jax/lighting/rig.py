@@ -1,0 +1,108 @@
+"""Lights of a rig: of an earlier capture by the same lamps, or of an RTI's list.
+
+A result's `lights.json` holds all of each light, so that it is taken as it is. A list
+(`.lp`) holds directions alone; colours are then fitted to the photographs.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unips_jax.errors import InputError
+from unips_jax.io.light_list import read_light_list
+from unips_jax.lighting.harmonics import harmonics
+from unips_jax.lighting.light_fit import Lights
+
+_FILE = "lights.json"
+_SHAPES = {"direction": (3,), "directness": (), "color": (3,), "harmonics": (9, 3)}
+
+
+def rig_file(source: Path) -> Path:
+    """The file that holds the lights: a list, or that of a folder of results."""
+    path = source / _FILE if source.is_dir() else source
+    if not path.is_file():
+        raise InputError(
+            f"--lights-from {source}: expected a result with {_FILE} (`unips estimate "
+            "--lights` writes it), or a list of lights (.lp), found none"
+        )
+    return path
+
+
+def read_rig(source: Path, names: Sequence[str]) -> Lights | np.ndarray:
+    """The lights of photographs, by their names, or in order if there are as many.
+
+    Returns:
+        The lights, or of a list unit directions `[N, 3]`.
+
+    Raises:
+        InputError: if the file cannot be used, or has no light for a photograph.
+    """
+    path = rig_file(source)
+    if path.suffix.lower() == ".lp":
+        found = read_light_list(path)
+        if found.problems:
+            raise InputError(f"--lights-from {source}: {found.problems[0]}")
+        if found.lights.shape[1] != 3:
+            raise InputError(
+                f"--lights-from {source}: expected directions, three numbers, got "
+                "highlights' places in pixels, two"
+            )
+        length = np.linalg.norm(found.lights, axis=1, keepdims=True)
+        if not (length > 0).all():
+            raise InputError(
+                f"--lights-from {source}: expected directions, got one of length 0"
+            )
+        return (found.lights / length)[_rows(found.names, names, source)]
+    stored = _stored(path)
+    rows = _rows(stored["file"], names, source)
+    values = {name: np.array(stored[name], float)[rows] for name in _SHAPES}
+    towards = harmonics(values["direction"])[..., None]
+    around = values["harmonics"] - towards * values["color"][:, None]
+    return Lights(
+        values["direction"],
+        values["directness"],
+        values["color"],
+        values["harmonics"],
+        around,
+    )
+
+
+def _stored(path: Path) -> dict[str, list[Any]]:
+    """What `lights.json` holds, as columns."""
+    try:
+        entries = json.loads(path.read_bytes())["photographs"]
+        columns = {name: [e[name] for e in entries] for name in ("file", *_SHAPES)}
+        right = len(entries) > 0 and all(isinstance(n, str) for n in columns["file"])
+        for name, shape in _SHAPES.items():
+            values = np.array(columns[name], float)
+            right &= values.shape == (len(entries), *shape)
+            right &= bool(np.isfinite(values).all())
+        length = np.linalg.norm(np.array(columns["direction"], float), axis=-1)
+        right &= bool((abs(length - 1) < 1e-3).all())
+    except (OSError, ValueError, KeyError, TypeError):
+        right = False
+    if not right:
+        raise InputError(
+            f"{path}: expected lights as `unips estimate --lights` writes them, got "
+            "something else; estimate that capture again"
+        )
+    return columns
+
+
+def _rows(known: Sequence[str], names: Sequence[str], source: Path) -> list[int]:
+    """Which light is each photograph's."""
+    places = {Path(name).stem.casefold(): row for row, name in enumerate(known)}
+    wanted = [Path(name).stem.casefold() for name in names]
+    if all(name in places for name in wanted):
+        return [places[name] for name in wanted]
+    if len(known) == len(names):
+        return list(range(len(names)))
+    missing = next(n for n, w in zip(names, wanted, strict=True) if w not in places)
+    raise InputError(
+        f"--lights-from {source}: expected a light for each of the {len(names)} "
+        f"photographs, by name or as many in the same order, got {len(known)}, none of "
+        f"them for {missing}"
+    )
