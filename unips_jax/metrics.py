@@ -35,16 +35,7 @@ def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
 def mean_angular_error_deg(
     predicted: ArrayLike, true: ArrayLike, mask: ArrayLike
 ) -> Array:
-    """Mean angle over the mask, in degrees.
-
-    Args:
-        predicted: `[..., 3]`.
-        true: `[..., 3]`.
-        mask: `[...]`, non-zero where the error counts.
-
-    Returns:
-        A scalar; NaN if the mask is empty.
-    """
+    """Mean angle over the mask, in degrees; NaN if the mask is empty."""
     inside = jnp.asarray(mask) > 0
     error = angular_error_deg(predicted, true)
     return jnp.sum(jnp.where(inside, error, 0.0)) / jnp.sum(inside)

@@ -14,17 +14,11 @@ _SILENT = {f"{_NAME}.errors", f"{_NAME}.console"}
 
 @functools.cache
 def code_hash(*modules: str) -> str:
-    """A hash of modules and of all that they import of this package.
+    """A hash of modules, such as "evaluation.scores", and of all they import of ours.
 
     What is hashed is the syntax without docstrings: comments and layout do not count.
     Imports are followed wherever they stand, also those inside functions; data files
     are not, nor what only type checkers import.
-
-    Args:
-        modules: their names in the package, such as "evaluation.scores".
-
-    Raises:
-        FileNotFoundError: if there is no such module.
     """
     digest = hashlib.blake2b(digest_size=8)
     reached = _reached(f"{_NAME}.{module}" for module in modules)

@@ -113,11 +113,7 @@ def _check_parameters(path: Path, config: ModelConfig, file: Any) -> None:
 
 
 def weights_path(source: str | os.PathLike[str]) -> Path:
-    """The file behind a name of shipped weights, or behind a path.
-
-    Raises:
-        InputError: if there is no such file.
-    """
+    """The file behind a name of shipped weights, or behind a path."""
     path = Path(source)
     if path.suffix == ".safetensors":
         if path.is_file():
@@ -133,11 +129,7 @@ def weights_path(source: str | os.PathLike[str]) -> Path:
 
 
 def weights_record(source: str | os.PathLike[str]) -> dict[str, Any]:
-    """How weights were made: training record and score, with their `weights_hash`.
-
-    Raises:
-        InputError: as `load_weights`, or if there is no such record.
-    """
+    """How weights were made: training record and score, with their `weights_hash`."""
     path = weights_path(source)
     digest = weights_hash(load_weights(path))
     with safe_open(path, framework="np") as file:
@@ -158,16 +150,9 @@ def save_weights(
     record: Mapping[str, Any] | None = None,
     half: bool = False,
 ) -> None:
-    """Writes weights; the file is complete or absent.
+    """Writes weights, a .safetensors file that is complete or absent.
 
-    Args:
-        path: a .safetensors file.
-        network: configuration and parameters.
-        record: how they were made, anything JSON can hold.
-        half: store float16.
-
-    Raises:
-        InputError: if it cannot be written.
+    `record` is how they were made, anything JSON can hold; `half` stores float16.
     """
     dtype = np.float16 if half else np.float32
     arrays = {

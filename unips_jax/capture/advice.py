@@ -33,9 +33,8 @@ def look_at_values(
 ) -> list[Finding]:
     """Lists what is wrong with a mask, with exposure and with the lights' variety.
 
-    Args:
-        images: `[N, H, W, 3]`, uint8, uint16 or float32, not black inside the mask.
-        mask: `[H, W]`, bool, with at least one pixel.
+    `images` are `[N, H, W, 3]`, uint8, uint16 or float32, not black inside the mask,
+    which has a pixel or more.
     """
     inside = int(mask.sum())
     step = math.ceil((inside / _SAMPLES) ** 0.5)

@@ -57,19 +57,12 @@ def mask_on_plain_background(
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """A mask of the reduced picture, and how it was found.
+    """A mask of the reduced picture, and how it was found."""
 
-    Attributes:
-        mask: `[h, w]`, bool.
-        contrast: see `mask_on_plain_background`.
-        plane: `[6, 3]`, the background.
-        threshold: `[h, w]`: distance from it where the object begins.
-    """
-
-    mask: np.ndarray
-    contrast: float
-    plane: np.ndarray
-    threshold: np.ndarray
+    mask: np.ndarray  # `[h, w]`, bool
+    contrast: float  # see `mask_on_plain_background`
+    plane: np.ndarray  # `[6, 3]`, the background
+    threshold: np.ndarray  # `[h, w]`: distance from it where the object begins
 
 
 def _find(picture: np.ndarray) -> _Found | None:

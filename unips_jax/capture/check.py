@@ -26,9 +26,8 @@ def check_capture(
 ) -> list[Finding]:
     """Lists what is wrong with photographs; empty if nothing is.
 
-    Args:
-        motion: from `find_motion`, where it is known already; of photographs that were
-            brought back to their place, what was left is 0.
+    `motion` comes from `find_motion`, where it is known already; of photographs that
+    were brought back to their place, what was left is 0.
     """
     images, mask = capture.images, capture.mask
     if motion is None:

@@ -6,18 +6,13 @@ from collections.abc import Mapping, Sequence
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong.
+    """One thing that is wrong."""
 
-    Attributes:
-        kind: a word or two that name it, the same for all of its kind.
-        text: what is wrong, and what to do about it.
-        files: the names of the photographs it is about; empty if it is about all.
-        figures: what was measured, by file or by name.
-    """
-
-    kind: str
-    text: str
+    kind: str  # a word or two that name it, the same for all of its kind
+    text: str  # what is wrong, and what to do about it
+    # the names of the photographs it is about; empty if it is about all
     files: tuple[str, ...] = ()
+    # what was measured, by file or by name
     figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def record(self) -> dict[str, object]:
@@ -31,10 +26,8 @@ def by_file(
 ) -> list[Finding]:
     """One finding about the files that have a value; none where no file has.
 
-    Args:
-        values: what was measured, by file.
-        shown: how a value is written, such as `"{:.0%}"`.
-        text: with `{}` where the files and their values go.
+    A value is written as `shown`, such as `"{:.0%}"`; files and their values go where
+    `text` has `{}`.
     """
     if not values:
         return []

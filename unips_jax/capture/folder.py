@@ -18,17 +18,11 @@ from unips_jax.io.selection import Selection
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        selection: the photographs.
-        capture: those that fit together, read; None where they cannot be.
-        findings: what is wrong; empty if nothing is.
-    """
-
-    selection: Selection
-    capture: Capture | None
-    findings: tuple[Finding, ...]
+    selection: Selection  # the photographs
+    capture: Capture | None  # those that fit together, read; None where they cannot be
+    findings: tuple[Finding, ...]  # what is wrong; empty if nothing is
 
     def record(self) -> dict[str, Any]:
         """JSON values."""
@@ -66,8 +60,7 @@ def check_photographs(
 ) -> Report:
     """Looks at photographs, and at those that fit together more closely.
 
-    Args:
-        transfer: how values encode light, in place of what the files say.
+    `transfer` is how values encode light, in place of what the files hold.
     """
     headers, found = {}, []
     for path in selection.files:

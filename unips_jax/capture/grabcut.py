@@ -18,9 +18,10 @@ def grabcut_mask(
     inside: np.ndarray | None = None,
     outside: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Finds the object from a box around it, strokes on it, or both.
+    """Finds the object from a box around it, strokes on it, or both: `[H, W]`, bool.
 
-    The same arguments give the same mask.
+    The same arguments give the same mask. `InputError` if there is neither a box nor a
+    stroke on the object, if these leave nothing to decide or find, or sizes differ.
 
     Args:
         picture: `[H, W, 3]`, uint8, such as `masks.mask_picture` gives.
@@ -28,13 +29,6 @@ def grabcut_mask(
             beyond it is the object.
         inside: `[H, W]`, bool: strokes on the object; see `strokes`.
         outside: `[H, W]`, bool: strokes on the background.
-
-    Returns:
-        `[H, W]`, bool.
-
-    Raises:
-        InputError: if there is neither a box nor a stroke on the object, if these leave
-            nothing to decide or find, or sizes differ.
     """
     shape = picture.shape[:2]
     _check(picture, box, inside, outside)
@@ -157,12 +151,10 @@ def strokes(
     *,
     width: int = 5,
 ) -> np.ndarray:
-    """Paints strokes: `[H, W]`, bool.
+    """Paints strokes on a picture of a shape: `[H, W]`, bool.
 
-    Args:
-        shape: height and width of the picture.
-        lines: of each stroke the points (x, y), in pixels; one point is a dot.
-        width: of the brush, in pixels.
+    Of each stroke the points (x, y) are given, in pixels, as is the brush's width; one
+    point is a dot.
     """
     painted = np.zeros(shape, np.uint8)
     for line in lines:

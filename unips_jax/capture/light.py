@@ -30,12 +30,7 @@ def rough_lights(
 ) -> np.ndarray | None:
     """Directions `[N, 3]` towards the light: x right, y up, z to the viewer.
 
-    Args:
-        images: `[N, H, W, 3]`.
-        mask: `[H, W]`, bool: one object and its outline.
-
-    Returns:
-        None where the mask's outline is not the object's.
+    None where the outline of the mask, of one object, is not the object's.
     """
     touching = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).sum()
     outline = mask.sum() - cv2.erode(mask.astype(np.uint8), np.ones((3, 3))).sum()
@@ -58,10 +53,7 @@ def rough_lights(
 def look_at_light(
     images: np.ndarray, mask: np.ndarray, transfer: Transfer
 ) -> list[Finding]:
-    """Says if the light comes from one side only, or along the lens.
-
-    Args: as `rough_lights`.
-    """
+    """Reports light that comes from one side only, or along the lens."""
     if len(images) < _FEW:
         return []
     lights = rough_lights(images, mask, transfer)
@@ -95,14 +87,10 @@ def look_at_light(
 
 
 def look_at_encoding(images: np.ndarray, mask: np.ndarray) -> list[Finding]:
-    """Says if 8-bit values without a tag fit better as linear ones.
+    """Reports 8-bit values without a tag that fit better as linear ones.
 
     Matte surfaces under N lamps are of rank 3 in linear light, but for shadows. Objects
-    that are not matte say nothing.
-
-    Args:
-        images: `[N, H, W, 3]`, uint8, without tags.
-        mask: `[H, W]`, bool.
+    that are not matte show nothing.
     """
     if len(images) < _LINEAR_LEAST or images.dtype != np.uint8:
         return []

@@ -30,27 +30,21 @@ _TOLERANCE = 14  # levels of 255, from the colour that was clicked
 
 
 class MaskGuess(NamedTuple):
-    """A mask, unless none was found.
+    """A mask, unless none was found."""
 
-    Attributes:
-        mask: `[H, W]`, bool; None where the figure is below `TRUSTED`.
-        figure: how sure it is, in [0, 1]: of a plain background the contrast of
-            outline, threshold and surroundings; of the network how steady its outline
-            is from 30 to 70 % of saliency.
-        rule: what found the mask; empty if nothing did.
-    """
-
-    mask: np.ndarray | None
+    mask: np.ndarray | None  # `[H, W]`, bool; None where the figure is below `TRUSTED`
+    # how sure it is, in [0, 1]: of a plain background the contrast of outline,
+    # threshold and surroundings; of the network how steady its outline is from 30 to 70
+    # % of saliency
     figure: float
+    # what found the mask; empty if nothing did
     rule: Literal["plain background", "salient object", ""] = ""
 
 
 def suggest_mask(images: np.ndarray, *, transfer: Transfer = "srgb") -> MaskGuess:
-    """Finds the object of photographs, whatever is behind it.
+    """Finds the object of photographs `[N, H, W, 3]`, whatever is behind it.
 
-    Args:
-        images: `[N, H, W, 3]`, uint8, uint16 or float32, one camera, changing light.
-        transfer: how their values encode light.
+    One camera, changing light; `transfer` is how their values encode it.
     """
     if min(images.shape[1:3]) < _SMALLEST:
         return MaskGuess(None, 0.0)
@@ -82,15 +76,8 @@ def toggle_piece(
     """The mask after a click: the piece under it is taken, or dropped if it was inside.
 
     A piece is a part of the mask apart from its largest, or a hole in it; elsewhere,
-    what is connected and has about the colour that was clicked.
-
-    Args:
-        mask: `[H, W]`, bool.
-        picture: `[H, W, 3]`, uint8, such as `mask_picture` gives.
-        point: x and y, in pixels.
-
-    Raises:
-        InputError: if the sizes differ or the point is outside the picture.
+    what is connected and has about the colour that was clicked, in a picture such as
+    `mask_picture` gives. `point` is x and y, in pixels.
     """
     height, width = mask.shape
     x, y = int(np.floor(point[0])), int(np.floor(point[1]))
@@ -139,15 +126,7 @@ def _of_one_colour(
 
 
 def mask_picture(images: np.ndarray, *, transfer: Transfer = "srgb") -> np.ndarray:
-    """A picture to draw a mask over: the brightest of all photographs.
-
-    Args:
-        images: `[N, H, W, 3]`.
-        transfer: how their values encode light.
-
-    Returns:
-        `[H, W, 3]`, uint8, sRGB.
-    """
+    """A picture to draw a mask over: the brightest of all photographs, uint8, sRGB."""
     brightest = as_float(images.max(axis=0))
     brightest = brightest / (float(np.percentile(brightest, 99.5)) or 1.0)
     if transfer == "linear":

@@ -37,20 +37,15 @@ _SHARE = 0.005  # of the longer side
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """Where photographs lie.
+    """Where photographs lie."""
 
-    Attributes:
-        offsets: `[N, 2]`, float: pixels to the right and down that a photograph's
-            content lies from that of the reference.
-        votes: `[N]`: share of the picture's parts that say so; 1 where the offset is 0.
-        reference: the photograph that most agree with.
-        limit: pixels from which on a photograph counts as moved.
-    """
-
+    # `[N, 2]`, float: pixels to the right and down that a photograph's content lies
+    # from that of the reference
     offsets: np.ndarray
+    # `[N]`: share of the picture's parts that agree; 1 where the offset is 0
     votes: np.ndarray
-    reference: int
-    limit: float
+    reference: int  # the photograph that most agree with
+    limit: float  # pixels from which on a photograph counts as moved
 
     @property
     def moved(self) -> np.ndarray:
@@ -62,9 +57,7 @@ class Motion:
 def find_motion(images: np.ndarray, mask: np.ndarray | None = None) -> Motion:
     """Finds how far photographs moved, to some tenths of a pixel of 384.
 
-    Args:
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        mask: `[H, W]`, bool: where the object is; None if not known.
+    `mask` `[H, W]` is where the object is; None if not known.
     """
     count, height, width = images.shape[:3]
     limit = max(_LEAST, _SHARE * max(height, width))

@@ -17,8 +17,7 @@ from unips_jax.io.photographs import Capture
 def with_suggested_mask(capture: Capture) -> Capture:
     """The same photographs, with the object's mask where it can be found.
 
-    Returns:
-        `mask_contrast` is the figure; below `masks.TRUSTED` the mask is as it was.
+    `mask_contrast` becomes the figure; below `masks.TRUSTED` the mask is as it was.
     """
     guess = suggest_mask(capture.images, transfer=capture.transfer)
     if guess.mask is None:
@@ -33,16 +32,10 @@ def with_suggested_mask(capture: Capture) -> Capture:
 
 
 def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> Capture:
-    """The same photographs without the light that a dark frame has.
+    """The same photographs without the light of a dark frame, taken without the lamp.
 
-    Args:
-        dark: taken without the lamp, as the others in all else.
-
-    Returns:
-        Integers become uint16, so that dark parts keep their levels.
-
-    Raises:
-        InputError: if the dark frame is of another kind, or brighter than a photograph.
+    Integers become uint16, so that dark parts keep their levels. `InputError` if the
+    dark frame is of another kind, or brighter than a photograph.
     """
     images = capture.images
     table = dark.encoding.table
@@ -71,14 +64,9 @@ def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> 
 
 
 def in_place(capture: Capture) -> tuple[Capture, Motion]:
-    """The same photographs, those that moved brought back to the others' place.
+    """The same photographs, those that moved brought back; and how they had moved.
 
-    Args:
-        capture: the photographs. Where not all of them have content, nothing is
-            inside the mask any more.
-
-    Returns:
-        The photographs, and how they had moved.
+    Where not all of them have content, nothing is inside the mask any more.
     """
     mask = None if capture.mask.all() else capture.mask
     motion = find_motion(capture.images, mask)

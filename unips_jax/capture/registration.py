@@ -24,15 +24,9 @@ def register(
     """Brings moved photographs back to the reference's place, parts of pixels too.
 
     Shifts, turns and scales are refined by the shifts of tiles, against all others, and
-    applied by cubic interpolation.
-
-    Args:
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
-
-    Returns:
-        The images, of the same type; `[H, W]` bool, where all of them have content;
-        `[N, 2, 3]`, the affine maps from places of the reference to those of each
-        photograph (x, y).
+    applied by cubic interpolation. Returns the images, of the same type; `[H, W]` bool,
+    where all of them have content; `[N, 2, 3]`, the affine maps from places of the
+    reference to those of each photograph (x, y).
     """
     count, height, width = images.shape[:3]
     scale = min(1.0, _SIDE / max(height, width))

@@ -24,15 +24,10 @@ _PARTS = 16  # along the longer side
 
 
 class Shift(NamedTuple):
-    """A shift, and how far it is believed.
+    """A shift, and how far it is believed."""
 
-    Attributes:
-        offset: pixels to the right and down.
-        score: how many spreads of the parts their gain is from 0.
-    """
-
-    offset: np.ndarray
-    score: float
+    offset: np.ndarray  # pixels to the right and down
+    score: float  # how many spreads of the parts their gain is from 0
 
 
 def light_of(image: np.ndarray, scale: float) -> np.ndarray:
@@ -50,10 +45,8 @@ def shift_of(
 ) -> Shift:
     """How far a photograph lies from all others.
 
-    Args:
-        picture: `[h, w]`, from `light_of`.
-        others: `[N, h, w]`, where they belong.
-        starts: shifts from which to look for a better one.
+    `picture` `[h, w]` comes from `light_of`, `others` are where they belong; `starts`
+    are shifts from which to look for a better one.
     """
     basis = _principal(others.reshape(len(others), -1))
     inner = np.zeros(picture.shape, np.float32)

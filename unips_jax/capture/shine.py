@@ -16,13 +16,7 @@ _MEAN, _MEDIAN = 0.27, 0.05  # over the photographs, of the brightest
 
 
 def is_only_shine(images: np.ndarray, mask: np.ndarray, transfer: Transfer) -> bool:
-    """Whether a mask's pixels shine in few photographs, before a dark backdrop.
-
-    Args:
-        images: `[N, H, W, 3]`.
-        mask: `[H, W]`, bool.
-        transfer: how their values encode light.
-    """
+    """Whether a mask's pixels shine in few photographs, before a dark backdrop."""
     if len(images) < _FEW or mask.all():
         return False
     step = max(1, int((mask.size / 16 / _SAMPLES) ** 0.5))

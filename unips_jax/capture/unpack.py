@@ -57,13 +57,8 @@ def unpacked(
 ) -> Iterator[Path]:
     """Gives a folder, for as long as it is needed, of the photographs in one file.
 
-    Args:
-        path: a TIFF of several pages, or a video of a still object under a lamp that
-            moves.
-        frames: how many of a video are taken, those whose light differs most.
-
-    Raises:
-        InputError: if it cannot be read, or holds too little.
+    A TIFF of several pages, or a video of a still object under a lamp that moves, of
+    which the `frames` whose light differs most are taken.
     """
     temporary = Path(tempfile.gettempdir())
     clear_leftovers(temporary)

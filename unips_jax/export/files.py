@@ -60,21 +60,11 @@ def write_export(
     name: str,
     half: bool = False,
 ) -> dict[str, Any]:
-    """Writes a network; all files appear, or none.
+    """Writes a network; all files appear, or none. Returns what `export.json` holds.
 
-    Args:
-        target: folder for the files.
-        network: configuration and parameters; what is written computes in float32.
-        format: of the files.
-        name: of the weights, for the record.
-        half: round parameters to half precision first. Those that it holds exactly, as
-            the shipped ones, are stored so in any case.
-
-    Returns:
-        What `export.json` holds.
-
-    Raises:
-        InputError: if a package is missing, or the file system refuses.
+    What is written computes in float32. With `half`, parameters are rounded to half
+    precision first; those that it holds exactly, as the shipped ones, are stored so in
+    any case. `name`, of the weights, is for the record.
     """
     config = dataclasses.replace(network.config, dtype="float32", remat=False)
     network = dataclasses.replace(network, config=config)
@@ -98,16 +88,7 @@ def write_export(
 
 
 def write_onnx(folder: Path, network: UniversalNetwork, record: dict[str, Any]) -> None:
-    """Writes `encoder.onnx` and `decoder.onnx`.
-
-    Args:
-        folder: where; it exists.
-        network: its parameters are NumPy arrays.
-        record: becomes the files' metadata.
-
-    Raises:
-        InputError: if onnx is not installed.
-    """
+    """Writes `encoder.onnx` and `decoder.onnx`; the record becomes their metadata."""
     try:
         import onnx
 
@@ -139,13 +120,7 @@ def write_stablehlo(
 ) -> None:
     """Writes `estimate.stablehlo`, as `jax.export` serialises a function.
 
-    Args:
-        folder: where; it exists.
-        network: its parameters are NumPy arrays.
-        record: not inside the file; for the signature's sake.
-
-    Raises:
-        InputError: if flatbuffers is not installed.
+    The record is not inside the file, but for the signature's sake.
     """
     shapes = _shapes(network.config)
     arguments = [shapes[key] for key in _INPUTS["estimate"]]

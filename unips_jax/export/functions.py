@@ -16,28 +16,18 @@ from unips_jax.models.views import Frame, image_means, make_views, normalize_ima
 
 
 class EncodedSet(NamedTuple):
-    """What the photographs are encoded to, for their pixels to be decoded with.
+    """What the photographs are encoded to, for their pixels to be decoded with."""
 
-    Attributes:
-        contexts: `[V, s/4, s/4, N, context_dim]`, of the images and the mirrored ones.
-        views: `[V, 4]`, int32: top, left and side of the square that was encoded, and
-            the images' width.
-        gains: `[N]`: one over each image's mean over masked pixels.
-    """
-
+    # `[V, s/4, s/4, N, context_dim]`, of the images and the mirrored ones
     contexts: Array
+    # `[V, 4]`, int32: top, left and side of the square that was encoded, and the
+    # images' width
     views: Array
-    gains: Array
+    gains: Array  # `[N]`: one over each image's mean over masked pixels
 
 
 def encode_set(network: UniversalNetwork, images: Array, mask: Array) -> EncodedSet:
-    """Encodes the photographs of an object.
-
-    Args:
-        network: configuration and parameters.
-        images: `[N, H, W, 3]`, float32, linear RGB of any scale.
-        mask: `[H, W]`, bool.
-    """
+    """Encodes an object's photographs `[N, H, W, 3]`, float32, linear, of any scale."""
     views = make_views(normalize_images(images, mask), mask, network.config)
     contexts = encode(network, views).contexts
     width = jnp.broadcast_to(views.width, views.frame.side.shape)
@@ -54,19 +44,10 @@ def decode_pixels(
     rows: Array,
     columns: Array,
 ) -> Array:
-    """Decodes pixels of an object.
+    """Decodes pixels of an object: unit normals `[P, 3]`, z towards the viewer.
 
-    Args:
-        network: configuration and parameters.
-        contexts: from `encode_set`.
-        views: from `encode_set`.
-        gains: from `encode_set`.
-        pixels: `[P, N, 3]`, float32: the pixels' values in every photograph.
-        rows: `[P]`, int32: where they are, from the top.
-        columns: `[P]`, int32, from the left.
-
-    Returns:
-        Unit normals, `[P, 3]`, x right, y up, z towards the viewer.
+    `pixels` `[P, N, 3]`, float32, are values in every photograph, `rows` and `columns`
+    `[P]` int32 where they are, from the top left; the others come from `encode_set`.
     """
     top, left, side, width = views.T
     mirrored = jnp.arange(len(contexts)) == 1

@@ -35,17 +35,11 @@ _TYPES = {
 
 @dataclasses.dataclass(frozen=True)
 class Tensor:
-    """A value of the graph.
+    """A value of the graph."""
 
-    Attributes:
-        name: in the graph.
-        shape: what it has there; 1 where a broadcast was put off.
-        dtype: of its elements.
-    """
-
-    name: str
-    shape: tuple[Any, ...]
-    dtype: np.dtype
+    name: str  # in the graph
+    shape: tuple[Any, ...]  # what it has there; 1 where a broadcast was put off
+    dtype: np.dtype  # of its elements
 
 
 Value = Tensor | np.ndarray
@@ -64,12 +58,7 @@ class Graph:
         self._count = 0
 
     def input(self, name: str, aval: Any) -> Tensor:
-        """Adds an input.
-
-        Args:
-            name: of the input.
-            aval: its shape, which may hold symbols, and type.
-        """
+        """Adds an input; the shape of `aval` may hold symbols."""
         tensor = Tensor(name, tuple(aval.shape), np.dtype(aval.dtype))
         self._inputs.append(_value_info(tensor))
         for axis, dim in enumerate(tensor.shape):
@@ -83,13 +72,9 @@ class Graph:
     def node(
         self, kind: str, inputs: Sequence[Value], result: Any, **attributes: Any
     ) -> Tensor:
-        """Adds a node of one output.
+        """Adds a node of one output: the ONNX operator `kind`, with its attributes.
 
-        Args:
-            kind: the ONNX operator.
-            inputs: its inputs.
-            result: shape and type of the output.
-            **attributes: of the operator.
+        `result` has the output's shape and type.
         """
         shape, dtype = result
         (tensor,) = self.nodes(kind, inputs, [(shape, dtype)], **attributes)
@@ -194,15 +179,9 @@ class Graph:
         return self.node("Expand", [value, self.dims(shape)], (shape, value.dtype))
 
     def add_jaxpr(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Value]):
-        """Adds the equations of a jaxpr; returns the values of its results.
+        """Adds the equations of an open jaxpr; returns the values of its results.
 
-        Args:
-            jaxpr: open.
-            consts: values of its constants.
-            args: values of its arguments.
-
-        Raises:
-            NotImplementedError: naming a primitive without an ONNX operator.
+        `NotImplementedError` names a primitive without an ONNX operator.
         """
         values: dict[Any, Value] = {}
 
@@ -245,13 +224,7 @@ class Graph:
     def model(
         self, outputs: dict[str, Value], name: str, metadata: dict[str, str]
     ) -> onnx.ModelProto:
-        """The model.
-
-        Args:
-            outputs: of the graph, by their names.
-            name: of the graph.
-            metadata: of the model.
-        """
+        """The model, with its outputs by their names."""
         infos = []
         for key, value in outputs.items():
             self._nodes.append(
