@@ -29,8 +29,8 @@ def explain(
         images: `[N, H, W]`, linear and grey.
         mask: `[H, W]`, bool.
         normals: `[H, W, 3]`, the estimate.
-        trust: weight of the squared distance to the estimate, beside that of the images
-            divided by their mean.
+        trust: weight of the squared distance to the estimate, relative to that of the
+            images divided by their mean.
         steps: of gradient descent (Adam).
         learning_rate: its.
 

@@ -33,9 +33,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:
-    """Large reference data kept beside the repository, or where UNIPS_SHARED says."""
-    beside = Path(__file__).resolve().parents[2] / "shared"
-    path = Path(os.environ.get("UNIPS_SHARED", beside))
+    """Large reference data kept next to the repository, or where UNIPS_SHARED says."""
+    near = Path(__file__).resolve().parents[2] / "shared"
+    path = Path(os.environ.get("UNIPS_SHARED", near))
     if not path.is_dir():
         pytest.skip(f"reference data not found at {path}; set UNIPS_SHARED")
     return path

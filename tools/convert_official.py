@@ -4,7 +4,7 @@
     python tools/convert_official.py GCNet.pth -o gcnet.safetensors
 
 DIR holds UniPS' `*_enc.pytmodel`, `*_agg.pytmodel` and `*_pred.pytmodel` (torch state
-dicts). A `.pth` file is GCNet, PS-FCN or LCNet, told apart by its keys. The authors'
+dicts). A `.pth` file is GCNet, PS-FCN or LCNet, known by its keys. The authors'
 licence applies to the result. Needs torch: `pip install '.[convert]'`.
 """
 

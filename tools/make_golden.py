@@ -6,7 +6,7 @@ One file for each arithmetic of set attention. Weights and inputs follow from th
 names alone; the files hold contexts, normals, the loss and the norm of its gradient
 with respect to every parameter. Run it again only for a change that is meant to change
 results. (That the network is the authors' is checked against their own arrays,
-`unips_official.npz` beside them, in `tests/use/test_official_parity.py`.)
+`unips_official.npz` next to them, in `tests/use/test_official_parity.py`.)
 """
 
 import argparse

@@ -2,7 +2,7 @@
 
     python tools/ship_weights.py runs/tiny/last.safetensors
 
-Scores them, in the half precision they ship in, beside the shipped ones on the same
+Scores them, in the half precision they ship in, next to the shipped ones on the same
 held-out scenes, and writes `dist/tiny-HASH.safetensors` if the error with the most
 images is smaller. With `--average` the mean of both takes the place of the trained
 ones: two ends of runs whose learning rate fell to zero lie around a better point. The

@@ -1,4 +1,4 @@
-"""Normal integration: its speed beside SciPy's conjugate gradients, and its figure.
+"""Normal integration: its speed next to SciPy's conjugate gradients, and its figure.
 
     python tools/surface.py [--size 1024] [--noise 0.05] [--plain-size 512]
     python tools/surface.py --figure docs/surface-step.png

@@ -89,7 +89,7 @@ def _widen_kernel(
     Args:
         kernel: of the narrow network.
         rows: what its inputs are made of; those that do not double keep their rows.
-        columns: likewise its outputs.
+        columns: the same of its outputs.
         random: tells the rows of equal channels apart.
     """
     narrow, sign = _index(rows)

@@ -327,7 +327,7 @@ def test_angles_are_over_common_objects():
         result_of("cow", "apart", mae=5.0),
     )
     tables = {table.name: table for table in summary.tables(results)}
-    # The third shares no object with the others, and so has no place beside them.
+    # The third shares no object with the others, and so has no place next to them.
     assert tables["angles"].names == ["Angle", "Pixels", "flat", "half"]
     assert tables["angles"].values[0] == ["0-15", 10, 10.0, 2.0]
     assert "1 object," in tables["angles"].title

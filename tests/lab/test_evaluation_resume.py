@@ -81,7 +81,7 @@ def uninterrupted(root, tmp_path_factory):
 
 
 def kill_after(process, work, *, files, pause):
-    """SIGKILL once so many finished files are there, and a moment later."""
+    """SIGKILL once that number of finished files is there, and a moment later."""
     while process.poll() is None:
         if sum(len(list(work.glob(pattern))) for pattern in PUBLISHED) >= files:
             break

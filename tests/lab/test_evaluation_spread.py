@@ -17,7 +17,7 @@ from unips_jax.evaluation.scores import mean_score, score
 
 
 def scored(mae):
-    """A score of a pixel that is so many degrees off."""
+    """A score of one pixel with this error in degrees."""
     up = np.float32([[[0, 0, 1]]])
     return score(data.tilted(mae), up, np.ones((1, 1), bool))
 

@@ -242,7 +242,7 @@ def test_widened_networks_are_the_same_function():
         **{name: 2 * getattr(narrow, name) for name in twice},
     )
     params = lively_weights(narrow)
-    # Of a pixel's three colours beside eight contexts, the first norm sees less.
+    # Of a pixel's three colours next to eight contexts, the first norm sees less.
     first = params["decoder"]["aggregation"]["layer0"]
     for name in ("query", "key", "value"):
         first[name]["kernel"] = 0.0 * first[name]["kernel"]
@@ -256,7 +256,7 @@ def test_widened_networks_are_the_same_function():
     expected = jax.jit(EncoderDecoder(narrow).apply)({"params": params}, *inputs)
     found = jax.jit(EncoderDecoder(wide).apply)({"params": made}, *inputs)
     np.testing.assert_allclose(found, expected, atol=2e-4)
-    # Twins are told apart: their rows differ.
+    # Twins differ in their rows.
     kernel = made["decoder"]["prediction"]["fc1"]["kernel"]
     assert np.abs(kernel[:12] - kernel[12:]).min() > 0
 

@@ -18,7 +18,7 @@ HEIGHT, WIDTH = 48, 64
 
 
 def dng(path, left=9000, right=2000, orientation=1):
-    """A raw file of grey: two brightnesses, of 16383, beside each other."""
+    """A raw file of grey: two brightnesses, of 16383, next to each other."""
     values = np.full((HEIGHT, WIDTH), left, np.uint16)
     values[:, WIDTH // 2 :] = right
     one, none = (10_000, 10_000), (0, 10_000)

@@ -177,7 +177,7 @@ def read_ptm(path):
 
 
 def read_planes(folder):
-    """Likewise, as web viewers do."""
+    """The same, as web viewers do."""
     info = json.loads((folder / "info.json").read_text())
     assert (info["type"], info["colorspace"], info["nplanes"]) == ("ptm", "rgb", 18)
     (material,) = info["materials"]
@@ -214,7 +214,7 @@ def test_the_texture_map_relights_like_the_photographs(tmp_path):
         assert web(x, y)[~MASK].mean() < 0.02  # JPEGs ring
     psnr = -10 * np.log10(np.mean(error))
     assert psnr == pytest.approx(facts["psnr_db"], abs=0.1) and psnr > 27
-    # Moving the light to the right brightens what faces right; likewise upwards.
+    # Moving the light to the right brightens what faces right; the same upwards.
     right, up = show(0.7, 0) - show(-0.7, 0), show(0, 0.7) - show(0, -0.7)
     assert right[20, 33].min() > 0.1 > -0.1 > right[20, 6].max()
     assert up[6, 20].min() > 0.1 > -0.1 > up[33, 20].max()

@@ -1,4 +1,4 @@
-"""Photographs of several views in one folder, told apart by their EXIF times."""
+"""Photographs of several views in one folder, sorted by their EXIF times."""
 
 import json
 

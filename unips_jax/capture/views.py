@@ -1,4 +1,4 @@
-"""Photographs of several places of the camera, told apart by when they were taken."""
+"""Photographs of several places of the camera, sorted by when they were taken."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -56,7 +56,7 @@ def spread(
 
     Args:
         work: a function of a module, which does it; done again if it dies.
-        items: what it is told, each by its name.
+        items: its arguments, each by its name.
         options: the cluster.
         description: shown with the progress.
 

@@ -169,7 +169,7 @@ def _jobs(options: Options) -> list[_Job]:
 
 
 def _views(folder: Path, target: Path, how: FolderOptions, pause: float) -> list[_Job]:
-    """A folder's views, told apart by the times of its photographs."""
+    """A folder's views, by the times of its photographs."""
     if not pause >= 0:
         raise InputError(f"--pause: expected seconds, 0 or more, got {pause}")
     selection = select(folder, include=how.include, exclude=how.exclude)

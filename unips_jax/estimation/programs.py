@@ -1,7 +1,7 @@
 """Programs kept between runs, so that nothing is traced a second time.
 
 JAX keeps what it compiled, but traces a function anew in every process, which takes
-longer than running it. A traced program is kept here beside the compilations, as
+longer than running it. A traced program is kept here next to the compilations, as
 `jax.export` writes it: data that is read, never code that runs when it is read.
 
 A program is found by its function, the code that it follows from, shapes and types, the

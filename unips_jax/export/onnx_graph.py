@@ -7,7 +7,7 @@ Dimensions may be symbols (`jax.export.symbolic_shape`). A broadcast is put off 
 something needs it: ONNX operators on elements broadcast by themselves.
 
 The package `jax2onnx` does the same for all of JAX. It is not used, as it cannot be
-installed beside the orbax that training needs.
+installed with the orbax that training needs.
 """
 
 import dataclasses

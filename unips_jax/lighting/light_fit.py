@@ -28,7 +28,7 @@ _DIRECTION_ROUNDS = 60
 _USUAL = 0.5  # irradiance, where what faces the light has about 1
 _FADE = 0.08  # irradiance: what is darker says little
 _FAINT = 0.3  # pull of albedos to the typical one: as of one photograph, half lit
-_CUT = 2.0  # residuals above so many deviations lose their weight
+_CUT = 2.0  # deviations, above which residuals lose their weight
 _AMBIENT = 0.3  # of the squared albedos: pull of the surroundings to their prior
 
 
@@ -147,7 +147,7 @@ def strips(images: np.ndarray) -> Iterator[slice]:
 
 
 def albedo_scales(pixels: np.ndarray, light: np.ndarray) -> Scales:
-    """What `robust_albedo` compares pixels with; arguments as there."""
+    """What `robust_albedo` compares pixels with, of the same arguments."""
     albedo = robust_albedo(pixels, light)
     return Scales(np.median(albedo, axis=0), _size(pixels / albedo - light))
 

@@ -162,8 +162,8 @@ def _turned_cuts(
     low = jnp.min(jnp.where(used[:NUM_UNIONS], heights, jnp.inf))
     high = jnp.max(jnp.where(used[:NUM_UNIONS], heights, -jnp.inf))
     waist = draws.uniform(0.2, 0.5) + size[NUM_UNIONS]
-    beside = jnp.stack([waist, draws.uniform(low, high), 0.0])
-    return beside, jnp.stack([0.0, high + 0.3 * size[0], 0.0])
+    near = jnp.stack([waist, draws.uniform(low, high), 0.0])
+    return near, jnp.stack([0.0, high + 0.3 * size[0], 0.0])
 
 
 def draw_slots(draws: Draws, kind: Array) -> tuple[Primitives, Array]:

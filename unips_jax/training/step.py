@@ -107,7 +107,7 @@ def _loss(
 
 
 def batch_gradient(params: Any, batch: Batch, key: Array, *, config: Config) -> Any:
-    """Value and gradient of `batch_loss`; arguments as there.
+    """Value and gradient of `batch_loss`, of the same arguments.
 
     With microbatches, the means over parts of the batch, of which one at a time is in
     memory. What is drawn for an object is the same, but for dropout.
