@@ -59,7 +59,7 @@ def _home() -> Path:
         return Path.home()
     except RuntimeError:
         raise InputError(
-            "--results: expected a folder, found no home folder to make one in; name one"
+            "--results: expected a folder, found no home folder for one; name it"
         ) from None
 
 
