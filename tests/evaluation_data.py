@@ -304,3 +304,10 @@ def small_weights(path, seed=0):
     )
     save_weights(path, UniversalNetwork(config, params))
     return path
+
+
+def ps_wild_arguments(root, work, size, *counts):
+    """Of `unips eval`: two methods, shown some numbers of images in a crop."""
+    named = ["--benchmark", "ps-wild", "--root", str(root), "--workdir", str(work)]
+    chosen = ["--method", "woodham", "constant", "--crop-size", str(size)]
+    return [*named, *chosen, "--num-images", *counts]

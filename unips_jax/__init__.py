@@ -16,9 +16,9 @@ The names below are imported when they are first used, each with what it needs a
 reading photographs needs no JAX, estimating normals no scene renderer.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unips_jax.lazy import attributes
 from unips_jax.version import __version__
 
 if TYPE_CHECKING:
@@ -63,39 +63,29 @@ __all__ = [
     "write_normals",
 ]
 
-_MODULES = {
-    "DistantLights": "lighting.relight",
-    "Materials": "lighting.relight",
-    "ModelConfig": "models.config",
-    "NnxNetwork": "estimation.nnx_module",
-    "UniversalNetwork": "models.network",
-    "angular_error_deg": "metrics",
-    "cache_compilations": "console",
-    "estimate_lights": "lighting.light_fit",
-    "estimate_normals": "estimation.pure",
-    "estimate_photographs": "estimation.streaming",
-    "integrate_image": "surface.images",
-    "integrate_normals": "surface.integrate",
-    "load_results": "evaluation.figures",
-    "load_weights": "weights",
-    "read_normals": "io.normals",
-    "read_photographs": "io.photographs",
-    "relight": "lighting.relight",
-    "render_scene": "scenes.render",
-    "save_weights": "weights",
-    "write_normals": "io.normals",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Imports a public name from its module, once."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = attributes(
+    __name__,
+    {
+        "console": "cache_compilations",
+        "estimation.nnx_module": "NnxNetwork",
+        "estimation.pure": "estimate_normals",
+        "estimation.streaming": "estimate_photographs",
+        "evaluation.figures": "load_results",
+        "io.normals": "read_normals write_normals",
+        "io.photographs": "read_photographs",
+        "lighting.light_fit": "estimate_lights",
+        "lighting.relight": "DistantLights Materials relight",
+        "metrics": "angular_error_deg",
+        "models.config": "ModelConfig",
+        "models.network": "UniversalNetwork",
+        "scenes.render": "render_scene",
+        "surface.images": "integrate_image",
+        "surface.integrate": "integrate_normals",
+        "weights": "load_weights save_weights",
+    },
+)
 
 
 def __dir__() -> list[str]:
     """The module's names, those not yet imported too."""
-    return sorted({*globals(), *_MODULES})
+    return sorted({*globals(), *__all__})

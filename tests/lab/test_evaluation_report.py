@@ -38,22 +38,7 @@ def work(tmp_path_factory):
     root = data.make_ps_wild(tmp_path_factory.mktemp("data"), size=32)
     (root / "mixed").rename(root / "dusk")  # a lighting the paper does not know
     work = tmp_path_factory.mktemp("work")
-    arguments = [
-        "--benchmark",
-        "ps-wild",
-        "--root",
-        str(root),
-        "--workdir",
-        str(work),
-        "--method",
-        "woodham",
-        "constant",
-        "--num-images",
-        "3",
-        "all",
-        "--crop-size",
-        "32",
-    ]
+    arguments = data.ps_wild_arguments(root, work, 32, "3", "all")
     assert evaluation.main(arguments) == 0
     return work
 

@@ -19,22 +19,7 @@ def root(tmp_path_factory):
 
 
 def start(root, work):
-    arguments = [
-        "--benchmark",
-        "ps-wild",
-        "--root",
-        str(root),
-        "--workdir",
-        str(work),
-        "--method",
-        "woodham",
-        "constant",
-        "--num-images",
-        "3",
-        "4",
-        "--crop-size",
-        "16",
-    ]
+    arguments = data.ps_wild_arguments(root, work, 16, "3", "4")
     return subprocess.Popen(
         [sys.executable, "-m", "unips_jax.cli.evaluate", *arguments],
         stdout=subprocess.PIPE,

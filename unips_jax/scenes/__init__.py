@@ -3,9 +3,9 @@
 Configurations are read without JAX: what renders is imported when it is first used.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unips_jax.lazy import attributes
 from unips_jax.scenes.config import (
     LIGHT_KINDS,
     MATERIALS,
@@ -37,20 +37,12 @@ __all__ = [
     "shade",
 ]
 
-_MODULES = {
-    "Geometry": "geometry",
-    "render_geometry": "geometry",
-    "IncidentLight": "incident",
-    "folder_light": "incident",
-    "load_meshes": "meshes",
-    "Scene": "render",
-    "render_batch": "render",
-    "render_scene": "render",
-    "shade": "render",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+__getattr__ = attributes(
+    __name__,
+    {
+        "scenes.geometry": "Geometry render_geometry",
+        "scenes.incident": "IncidentLight folder_light",
+        "scenes.meshes": "load_meshes",
+        "scenes.render": "Scene render_batch render_scene shade",
+    },
+)

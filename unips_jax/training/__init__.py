@@ -3,8 +3,9 @@
 The names below are public (`docs/api.md`), and imported when they are first used.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from unips_jax.lazy import attributes
 
 if TYPE_CHECKING:
     from unips_jax.io.ps_wild import PSWildFolders, read_object, write_folder
@@ -35,25 +36,13 @@ __all__ = [
     "write_folder",
 ]
 
-_MODULES = {
-    "Config": "training.config",
-    "DataConfig": "training.config",
-    "LossOptions": "training.loss",
-    "MeshConfig": "training.config",
-    "Objects": "training.loss",
-    "OptimConfig": "training.config",
-    "PSWildFolders": "io.ps_wild",
-    "TrainConfig": "training.config",
-    "load_config": "training.recipes",
-    "read_object": "io.ps_wild",
-    "train": "training.loop",
-    "training_loss": "training.loss",
-    "write_folder": "io.ps_wild",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(f"unips_jax.{_MODULES[name]}")
-    return getattr(module, name)
+__getattr__ = attributes(
+    __name__,
+    {
+        "io.ps_wild": "PSWildFolders read_object write_folder",
+        "training.config": "Config DataConfig MeshConfig OptimConfig TrainConfig",
+        "training.loop": "train",
+        "training.loss": "LossOptions Objects training_loss",
+        "training.recipes": "load_config",
+    },
+)
