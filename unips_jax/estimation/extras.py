@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from unips_jax.errors import InputError
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import write_exr, write_image
 from unips_jax.lighting.light_fit import Lights
+from unips_jax.lighting.near import NearField, places_of
 
 if TYPE_CHECKING:
     from unips_jax.estimation.streaming import NormalsAndLights
@@ -48,15 +50,20 @@ def estimate_extras(
     Images are `[N, H, W, 3]`, uint8, uint16 or float32; `found` is their estimate;
     `rig` are lights, or directions, known from elsewhere (`lighting.rig`).
     """
-    lights, confidence = None, None
+    lights, confidence, near = None, None, None
+    if options.lamp_distance is not None:
+        near = _near_field(found.normals, mask, options.lamp_distance)
     if isinstance(rig, Lights):
-        lights = rig
+        lights = rig._replace(near=near)
     elif options.lights or options.base_color or options.rti:
         from unips_jax.lighting.light_fit import estimate_lights
 
         guesses = found.lights if rig is None else rig
         lights = estimate_lights(
-            images, found.normals, mask, guesses=guesses, transfer=transfer
+            *(images, found.normals, mask),
+            guesses=guesses,
+            near=near,
+            transfer=transfer,
         )
     if options.confidence:
         from unips_jax.estimation.confidence import normal_spread
@@ -71,6 +78,21 @@ def estimate_extras(
             progress=progress,
         )
     return Extras(lights, confidence)
+
+
+def _near_field(normals: np.ndarray, mask: np.ndarray, distance: float) -> NearField:
+    """Where the surface is, by its normals, next to lamps at that distance."""
+    from unips_jax.surface.images import integrate_image
+
+    places = places_of(integrate_image(normals, mask).depth)
+    reach = float(np.linalg.norm(places[mask], axis=-1).max())
+    if distance <= 1.2 * reach:
+        raise InputError(
+            f"--lamp-distance {distance}: expected lamps away from the object, which "
+            f"reaches {reach:.2f} widths of the photograph from its middle; measure "
+            "again, in widths of what the photograph shows"
+        )
+    return NearField(distance, places)
 
 
 def write_extras(

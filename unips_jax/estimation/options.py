@@ -1,6 +1,7 @@
 """The options of `estimate_folder`."""
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -51,6 +52,8 @@ class FolderOptions:
         lights_from: for these three, the lights of an earlier capture by the same
             lamps, a result with lights.json, or a list of directions (.lp), in place of
             estimated ones; by the photographs' names, or in their order.
+        lamp_distance: for the same, how far the lamps are from the photographs' middle,
+            in widths of a photograph; lamps nearer than ten light the object unevenly.
         confidence: also write how far normals spread over halves of the photographs,
             confidence.exr and .png, and unreliable.png, a mask; triples the time.
         all: write all of these, the depth and a mesh (GLB).
@@ -82,6 +85,7 @@ class FolderOptions:
     base_color: bool = False
     rti: bool = False
     lights_from: Annotated[Path | None, tyro.conf.arg(metavar="RESULT|FILE.lp")] = None
+    lamp_distance: float | None = None
     confidence: bool = False
     all: bool = False
     view: bool = False
@@ -126,13 +130,18 @@ class FolderOptions:
                 f"--size {self.size}: results have the photographs' size; leave it "
                 "out, or add --reader official"
             )
-        if self.lights_from is not None and not (
-            self.all or self.lights or self.base_color or self.rti
-        ):
+        distance = self.lamp_distance
+        if distance is not None and not 0 < distance < math.inf:
             raise InputError(
-                "--lights-from: expected something to use it for, got none; add "
-                "--base-color, --rti or --lights"
+                f"--lamp-distance: expected widths of a photograph, got {distance}"
             )
+        for option in ("lights_from", "lamp_distance"):
+            used = self.all or self.lights or self.base_color or self.rti
+            if getattr(self, option) is not None and not used:
+                raise InputError(
+                    f"--{option.replace('_', '-')}: expected something to use it for, "
+                    "got none; add --base-color, --rti or --lights"
+                )
         for option in ("register", "dark"):
             if self.reader == "official" and getattr(self, option):
                 raise InputError(

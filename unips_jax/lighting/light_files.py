@@ -42,7 +42,7 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
         }
         for index, name in enumerate(names)
     ]
-    content = {
+    content: dict[str, Any] = {
         "conventions": {
             "frame": "x right, y up, z towards the viewer",
             "direction": "unit, to the key light or, in surroundings, of all light's "
@@ -57,6 +57,12 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
         },
         "photographs": photographs,
     }
+    if lights.near is not None:
+        content["lamp_distance"] = lights.near.distance
+        content["conventions"]["lamp_distance"] = (
+            "of near lamps from the photograph's middle, in its widths; directions and "
+            "colors are those at the middle"
+        )
     write_json(folder / "lights.json", content, indent=1)
     lines = [str(len(names))]
     for name, direction in zip(names, lights.directions, strict=True):
@@ -105,14 +111,16 @@ def base_color(
     pick = np.random.default_rng(0).permutation(rows.size)[:_SAMPLE]
     some = rows[pick], columns[pick]
     scales = albedo_scales(
-        as_linear(images[:, *some], transfer), irradiance(lights, normals[some])
+        as_linear(images[:, *some], transfer), irradiance(lights, normals[some], some)
     )
     scales = Scales(*(values.astype(np.float32) for values in scales))
     for part in strips(images):
         inside = mask[part]
         if inside.any():
             pixels = as_linear(images[:, part][:, inside], transfer)
-            light = irradiance(lights, normals[part][inside]).astype(np.float32)
+            place = np.nonzero(inside)
+            place = place[0] + part.start, place[1]
+            light = irradiance(lights, normals[place], place).astype(np.float32)
             color[part][inside] = robust_albedo(pixels, light, scales=scales)
     if mask.any():
         color *= _BRIGHT / max(float(np.quantile(color[mask].max(-1), 0.99)), 1e-12)

@@ -14,12 +14,13 @@ are relative to the photographs' mean.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
+from unips_jax.lighting.near import NearField, cosines
 
 _SAMPLE = 8000  # pixels
 _ROUNDS = 8
@@ -44,6 +45,8 @@ class Lights(NamedTuple):
         harmonics: `[N, 9, 3]`, radiance of all light, the key's too; see
             `unips_jax.lighting.harmonics`.
         surroundings: `[N, 9, 3]`, radiance of all but the key.
+        near: where lamps and surface are, if the lamps are near; directions and colours
+            are then those at the image's middle.
     """
 
     directions: np.ndarray
@@ -51,6 +54,7 @@ class Lights(NamedTuple):
     colors: np.ndarray
     harmonics: np.ndarray
     surroundings: np.ndarray
+    near: NearField | None = None
 
 
 class Scales(NamedTuple):
@@ -67,6 +71,7 @@ def estimate_lights(
     mask: np.ndarray | None = None,
     *,
     guesses: np.ndarray | None = None,
+    near: NearField | None = None,
     transfer: Transfer = "linear",
 ) -> Lights:
     """Estimates the light of each photograph.
@@ -78,12 +83,13 @@ def estimate_lights(
         mask: `[H, W]`, above 0 on the object; None: where there are normals.
         guesses: `[N, 3]`, the lights' mean directions, 1 long for a lamp, shorter for
             scattered light, as `guess_lights` gives them; None: they are fitted.
+        near: where lamps that are near are, and the surface (`lighting.near`).
         transfer: how values encode light.
 
     Raises:
         ValueError: if shapes do not fit, or no pixel has a normal.
     """
-    pixels, normal = _sample(images, normals, mask, transfer)
+    pixels, normal, index = _sample(images, normals, mask, transfer)
     count = len(pixels)
     if guesses is not None and np.shape(guesses) != (count, 3):
         raise ValueError(
@@ -99,13 +105,21 @@ def estimate_lights(
         directions = np.where(length[:, None] > 1e-6, guesses, [0.0, 0.0, 1.0])
         directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
         directness = np.clip(length, 0, 1)
-    coefficients = _fitted_light(pixels, normal, directions, directness)
-    return _lights(coefficients * scale, directions, directness)
+    field = () if near is None else (near.distance, near.places[index])
+    cosine = cosines(directions, normal, *field)
+    coefficients = _fitted_light(pixels, normal, cosine, directness)
+    return _lights(coefficients * scale, directions, directness)._replace(near=near)
 
 
-def irradiance(lights: Lights, normals: np.ndarray) -> np.ndarray:
-    """Irradiance on unit normals `[P, 3]`, without cast shadows: `[N, P, 3]`, >= 0."""
-    cosine = np.maximum(lights.directions @ normals.T, 0)
+def irradiance(lights: Lights, normals: np.ndarray, index: Any = None) -> np.ndarray:
+    """Irradiance on unit normals `[P, 3]`, without cast shadows: `[N, P, 3]`, >= 0.
+
+    `index` takes their pixels from an image, for lamps that are near; without it they
+    lie at its middle.
+    """
+    near = lights.near if index is not None else None
+    field = () if near is None else (near.distance, near.places[index])
+    cosine = cosines(lights.directions, normals, *field)
     coefficients = COSINE_LOBE[BAND][:, None] * lights.surroundings
     around = harmonics(normals) @ coefficients  # [N, P, 3]
     return np.maximum(cosine[..., None] * lights.colors[:, None] + around, 0)
@@ -185,8 +199,8 @@ def _size(off: np.ndarray) -> np.ndarray:
 
 def _sample(
     images: np.ndarray, normals: np.ndarray, mask: np.ndarray | None, transfer: Transfer
-) -> tuple[np.ndarray, np.ndarray]:
-    """Some pixels, `[N, P, 3]`, and their normals, `[P, 3]`; float64."""
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Some pixels, `[N, P, 3]`, their normals, `[P, 3]`, and places; float64."""
     if images.ndim != 4 or images.shape[-1] != 3:
         raise ValueError(f"images: expected [N, H, W, 3], got {images.shape}")
     size = images.shape[1:3]
@@ -204,7 +218,8 @@ def _sample(
     rows, columns = rows[pick], columns[pick]
     pixels = as_linear(images[:, rows, columns], transfer).astype(np.float64)
     normal = normals[rows, columns].astype(np.float64)
-    return pixels, normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return pixels, normal, (rows, columns)
 
 
 def _fitted_directions(grey: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -234,14 +249,13 @@ def _fitted_directions(grey: np.ndarray, normal: np.ndarray) -> np.ndarray:
 def _fitted_light(
     pixels: np.ndarray,
     normal: np.ndarray,
-    directions: np.ndarray,
+    cosine: np.ndarray,
     directness: np.ndarray,
 ) -> np.ndarray:
     """The key's and the surroundings' irradiance, `[N, 10, 3]`, in turns with albedo.
 
     Rows: the key's color, then the coefficients of the surroundings' irradiance.
     """
-    cosine = np.maximum(directions @ normal.T, 0)  # [N, P]
     smooth = harmonics(normal)  # [P, 9]
     # Even light of power 1 gives everything an irradiance of a quarter.
     share = np.clip(directness, 0.05, 1)

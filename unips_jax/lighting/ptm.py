@@ -20,7 +20,7 @@ values from 0 to 1, in the order 1, x, y, x^2, x y, y^2.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import simplejpeg
@@ -28,6 +28,7 @@ import simplejpeg
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
 from unips_jax.io.door import new_file, write_json, write_whole
 from unips_jax.lighting.light_fit import Lights, irradiance, strips
+from unips_jax.lighting.near import falloffs
 
 _WHITE = 0.95  # what the brightest half a percent is brought to, linear
 _RIDGE = 1e-3  # for photographs that are few, or whose lights are alike
@@ -53,16 +54,31 @@ def fit_matrix(directions: np.ndarray) -> np.ndarray:
 
 
 def equalised(
-    images: np.ndarray, transfer: Transfer, lights: Lights, white: float
+    images: np.ndarray,
+    transfer: Transfer,
+    lights: Lights,
+    white: float,
+    index: Any = ...,
 ) -> np.ndarray:
     """Photographs `[N, ..., 3]` as if their lights were equally bright and white.
 
     sRGB, in [0, 1]; `white` is the linear value, so brought to the same light, that
-    becomes 1.
+    becomes 1. `index` has taken the pixels from whole images, where lamps that are near
+    are not equally bright.
     """
-    gains = 1 / (facing(lights) * white)
-    gains = gains.reshape(len(images), *[1] * (images.ndim - 2), 3)
-    return srgb_encode(as_linear(images, transfer) * gains)
+    return srgb_encode(_evenly_lit(images, transfer, lights, index) / white)
+
+
+def _evenly_lit(
+    images: np.ndarray, transfer: Transfer, lights: Lights, index: Any
+) -> np.ndarray:
+    strength = facing(lights).reshape(len(images), *[1] * (images.ndim - 2), 3)
+    near = lights.near
+    if near is not None:
+        places = near.places[index]
+        falloff = falloffs(lights.directions, near.distance, places)
+        strength = strength * falloff[..., None].astype(np.float32)
+    return as_linear(images, transfer) / strength
 
 
 def facing(lights: Lights) -> np.ndarray:
@@ -87,8 +103,13 @@ class TextureMap(NamedTuple):
         """Yields some rows, their mask, coefficients and the photographs' values."""
         for part in strips(self.images):
             inside = self.mask[part]
+            rows, columns = np.nonzero(inside)
             values = equalised(
-                self.images[:, part][:, inside], self.transfer, self.lights, self.white
+                self.images[:, part][:, inside],
+                self.transfer,
+                self.lights,
+                self.white,
+                (rows + part.start, columns),
             )
             yield part, inside, _coefficients(values, self.matrix), values
 
@@ -108,11 +129,12 @@ def fit_texture_map(
     """Fits a polynomial texture map; `lights` come from `estimate_lights`."""
     rows, columns = np.nonzero(mask)
     pick = np.random.default_rng(0).permutation(rows.size)[:20000]
-    some = images[:, rows[pick], columns[pick]]
-    linear = as_linear(some, transfer) / facing(lights)[:, None]
+    index = rows[pick], columns[pick]
+    some = images[:, *index]
+    linear = _evenly_lit(some, transfer, lights, index)
     white = max(float(np.quantile(linear, 0.995)) / _WHITE, 1e-12)
     matrix = fit_matrix(lights.directions)
-    sample = _coefficients(equalised(some, transfer, lights, white), matrix)
+    sample = _coefficients(equalised(some, transfer, lights, white, index), matrix)
     return TextureMap(images, mask, lights, transfer, white, matrix, sample)
 
 
