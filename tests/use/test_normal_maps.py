@@ -13,7 +13,8 @@ from unips_jax.cli.surface import main as surface
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_linear, srgb_encode
 from unips_jax.io.images import encode_image
-from unips_jax.io.normal_maps import examine_normals, integrability, read_normal_map
+from unips_jax.io.normal_axes import integrability
+from unips_jax.io.normal_maps import examine_normals, read_normal_map
 from unips_jax.io.normals import turn_normals
 
 

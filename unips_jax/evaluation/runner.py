@@ -20,7 +20,7 @@ from unips_jax.evaluation.protocols import Case, show, shown_normals
 from unips_jax.evaluation.scores import Score, best_signs, from_json, score
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.variants import Variant
-from unips_jax.io.normal_maps import integrability
+from unips_jax.io.normal_axes import integrability
 
 _POLL_S = 0.2
 
@@ -42,7 +42,7 @@ class Result:
     seed: int | None = None  # of the subset; None where all images are used
     # of methods that are not ours: mean errors with their axes turned
     turned: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    # of these where the truth is withheld; see `io.normal_maps`
+    # of these where the truth is withheld; see `io.normal_axes`
     integrability: float = 0.0
 
     @property

@@ -4,24 +4,21 @@ Maps by others come on backgrounds of any colour, with alpha, in other ranges
 (`io.normal_values`), with axes the other way. Each shows in the numbers:
 
 - a normal has length 1 and faces the viewer; a background has not, or is transparent;
-- a surface's slopes, p to the right and q upwards, obey dp/dy = dq/dx. The correlation
-  of the two is +0.44 to +0.79 on maps by others, the negative where one axis is the
-  other way, and near 0 on surfaces made of steps or leaves: then nothing is said;
-- along an outline normals point outwards, unless what they show is hollow.
+- slopes fit together, and normals point outwards along an outline (`io.normal_axes`).
 """
 
 import sys
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import scipy.ndimage
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image_file
 from unips_jax.io.naming import VIDEO_SUFFIXES
-from unips_jax.io.normal_values import LEAST, OVERRULE, UNIT, decode_values, foreground
+from unips_jax.io.normal_axes import SURE, facing, integrability, other_axes
+from unips_jax.io.normal_values import OVERRULE, UNIT, decode_values, foreground
 from unips_jax.io.normals import NormalMap, decode_normals, read_numbers, turn_normals
 from unips_jax.io.record import print_line
 from unips_jax.io.record_schema import load_record
@@ -29,17 +26,7 @@ from unips_jax.io.results import RECORD
 
 _OFF = 0.25  # of a length: JPEG and resizing leave less in most pixels
 _AWAY = -0.35  # z: wide lenses see what faces away by as much
-_STEEP = 0.2  # z: slopes above 5 tell little
-_SURE = 0.2  # correlation that decides
 _CUT = 35.0  # degrees between a flat background and what lies on it
-
-# What a convention is where green, or red, is the other way.
-_OTHERS: dict[NormalMap, tuple[NormalMap, ...]] = {
-    "opengl": ("directx", "x-left"),
-    "directx": ("opengl",),
-    "opencv": ("opengl",),
-    "x-left": ("opengl",),
-}
 
 
 class Examined(NamedTuple):
@@ -148,10 +135,10 @@ def examine_normals(
     there = _surface(normals, values.dtype.kind == "u", mended, doubts)
     normals = _unit(np.where(there[..., None], normals, 0))
     if there.any() and (normals[..., 2][there] < 0).mean() > 0.95:
-        normals = normals * np.array(_facing(normals, mended), np.float32)
+        normals = normals * np.array(facing(normals, mended), np.float32)
     found = integrability(normals)
-    if found < -_SURE:
-        doubts.append(_other_axes(normals, found, convention))
+    if found < -SURE:
+        doubts.append(other_axes(normals, found, convention))
     plane = _plane_around(normals)
     if plane is not None:
         doubts.append(
@@ -159,32 +146,6 @@ def examine_normals(
             "--mask FILE leaves it out"
         )
     return Examined(normals, tuple(mended), tuple(doubts), found)
-
-
-def integrability(normals: np.ndarray) -> float:
-    """The correlation of dp/dy and dq/dx, above 0 where normals are a surface's.
-
-    From -1 to 1; 0 where fewer than 200 squares of 2 x 2 pixels have normals that are
-    not steep. `normals` are `[H, W, 3]`, 0 where none.
-    """
-    fine = normals[..., 2] > _STEEP
-    z = np.where(fine, normals[..., 2], 1)
-    p, q = -normals[..., 0] / z, -normals[..., 1] / z
-    whole = fine[:-1, :-1] & fine[:-1, 1:] & fine[1:, :-1] & fine[1:, 1:]
-    if np.count_nonzero(whole) < LEAST:
-        return 0.0
-    up, right = p[:-1] - p[1:], q[:, 1:] - q[:, :-1]  # row 0 is the top, y is up
-    a = _bounded((up[:, :-1] + up[:, 1:])[whole])
-    b = _bounded((right[:-1] + right[1:])[whole])
-    size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / size if size > 1e-9 else 0.0
-
-
-def _bounded(values: np.ndarray) -> np.ndarray:
-    """Values less their mean, jumps cut to the largest usual size."""
-    most = np.quantile(np.abs(values), 0.98) or np.abs(values).max()
-    values = np.clip(values, -most, most).astype(np.float64)
-    return values - values.mean()
 
 
 def _unit(normals: np.ndarray) -> np.ndarray:
@@ -266,59 +227,6 @@ def _together(far: np.ndarray, short: np.ndarray, outside: np.ndarray) -> np.nda
     with_far = np.zeros(count + 1, bool)
     with_far[labels[far]] = True
     return (large & with_far)[labels] & (far | short)
-
-
-def _facing(normals: np.ndarray, mended: list[str]) -> tuple[int, int, int]:
-    """Signs that turn normals, nearly all of which face away, to the viewer."""
-    fits = integrability(normals * np.array([1, 1, -1], np.float32))
-    x, y = _outwards(normals)
-    if max(x, y) < -0.5 and fits > -_SURE:
-        mended.append(
-            "normals point into the surface, away from the viewer: all three axes "
-            f"are turned; {OVERRULE} takes them as they are"
-        )
-        return -1, -1, -1
-    if fits > _SURE or (fits > -_SURE and y > 0.5):
-        mended.append(
-            f"z points away from the viewer: turned; {OVERRULE} takes it as it is"
-        )
-        return 1, 1, -1
-    mended.append(
-        "z points away from the viewer: read as --normal-map opencv, with y down; "
-        f"{OVERRULE} takes it as it is"
-    )
-    return 1, -1, -1
-
-
-def _outwards(normals: np.ndarray) -> tuple[float, float]:
-    """How normals at the outline point outwards in x and in y, from -1 to 1 each."""
-    there = (normals != 0).any(-1)
-    row, column = np.gradient(cv2.GaussianBlur(there.astype(np.float32), (0, 0), 2))
-    edge = there & ~scipy.ndimage.binary_erosion(there, iterations=2, border_value=1)
-    edge &= np.abs(normals[..., 2]) < 0.9
-    if np.count_nonzero(edge) < 40:
-        return 0.0, 0.0
-
-    def agreement(given: np.ndarray, outward: np.ndarray) -> float:
-        size = np.linalg.norm(given) * np.linalg.norm(outward)
-        return float(given @ outward / size) if size > 1e-6 else 0.0
-
-    return (
-        agreement(normals[..., 0][edge], -column[edge]),
-        agreement(normals[..., 1][edge], row[edge]),
-    )
-
-
-def _other_axes(normals: np.ndarray, found: float, convention: NormalMap) -> str:
-    names = list(_OTHERS[convention])
-    x, y = _outwards(normals)
-    if x < -0.3 < 0.3 < y:  # red seems to be the other way
-        names.reverse()
-    advice = " or ".join(f"--normal-map {name}" for name in names)
-    return (
-        f"slopes do not fit together as a surface's do (correlation {found:+.2f}): "
-        f"an axis seems to be the other way; try {advice}"
-    )
 
 
 def _plane_around(normals: np.ndarray) -> np.ndarray | None:
