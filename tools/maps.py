@@ -23,8 +23,8 @@ the largest spreads are taken out, with the least possible, and the error by spr
 import dataclasses
 import functools
 import json
-import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -253,7 +253,8 @@ def _lights(
             if directed.any():
                 row[name] = float(angles.mean())
     texture_map = fit_texture_map(case.images, case.mask, lights)
-    facts = write_ptm(Path(os.devnull), texture_map)
+    with tempfile.TemporaryDirectory() as place:
+        facts = write_ptm(Path(place) / "relight.ptm", texture_map)
     row["texture map"] = facts["psnr_db"]
     if case.color is not None:
         inside = case.inside

@@ -55,3 +55,11 @@ def test_records_hold_names_that_are_not_unicode(tmp_path):
     door.write_json(tmp_path / "a.json", {"name": "caf\udce9 é"}, indent=1)
     data = (tmp_path / "a.json").read_bytes()
     assert json.loads(data)["name"] == "caf\udce9 é" and "é".encode() in data
+
+
+def test_devices_and_pipes_are_never_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="a device or a pipe, not a file"):
+        door.write_whole(pipe, b"data")
+    assert pipe.is_fifo() and list(tmp_path.iterdir()) == [pipe]

@@ -10,6 +10,7 @@ insist on one (`new_path`): their own errors rarely say what the system said.
 """
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -71,6 +72,8 @@ def new_path(path: Path, *, suffix: str | None = None) -> Iterator[Path]:
     part = path.parent / f".{digest(path.name)}.{writer}.tmp{end}"
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise OSError(errno.EINVAL, "a device or a pipe, not a file")
         try:
             yield part
             part.replace(path)
