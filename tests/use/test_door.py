@@ -1,6 +1,7 @@
 """The door through which files are written."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -60,6 +61,6 @@ def test_records_hold_names_that_are_not_unicode(tmp_path):
 def test_devices_and_pipes_are_never_replaced(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(InputError, match="a device or a pipe, not a file"):
+    with pytest.raises(door.NotWritten, match="a device or a pipe, not a file"):
         door.write_whole(pipe, b"data")
     assert pipe.is_fifo() and list(tmp_path.iterdir()) == [pipe]
