@@ -18,6 +18,7 @@ from unips_jax.errors import InputError
 from unips_jax.evaluation import axes, foreign
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.normal_files import from_files, read_any
+from unips_jax.io.color import srgb_encode
 from unips_jax.io.images import write_exr
 from unips_jax.io.normals import encode_normals
 
@@ -132,6 +133,8 @@ def test_a_bad_method_is_not_called_turned():
         (lambda n: n[..., :2], r"expected normals \[H, W, 3\], got \(20, 20, 2\)"),
         (lambda n: 0 * n, "found only zeros"),
         (lambda n: np.rint(127.5 * (n + 1)), "it seems to hold bytes"),
+        (lambda n: 2 * srgb_encode(n / 2 + 0.5) - 1, "hold colours as a display shows"),
+        (lambda n: srgb_encode(n / 2 + 0.5), "it seems to hold such colours in floats"),
     ],
 )
 def test_what_are_no_normals_is_refused_in_one_line(

@@ -31,6 +31,7 @@ from unips_jax.evaluation.variants import (
     parse_options,
     take_oracle,
 )
+from unips_jax.io.color import as_linear
 from unips_jax.io.normals import read_normals, read_numbers
 from unips_jax.provenance import code_hash
 
@@ -228,6 +229,12 @@ def _check_lengths(path: Path, inside: np.ndarray) -> None:
         "(n + 1) / 2; store 2 v - 1": 2 * known - 1,
         "bytes; store v / 127.5 - 1": known / 127.5 - 1,
         "16 bits; store v / 32767.5 - 1": known / 32767.5 - 1,
+        "colours as a display shows them; save them as data, without a curve": 2
+        * as_linear(np.clip((known + 1) / 2, 0, 1), "srgb")
+        - 1,
+        "such colours in floats; store 2 linear(v) - 1": 2
+        * as_linear(np.clip(known, 0, 1), "srgb")
+        - 1,
     }
     hint = ""
     for what, read in readings.items():
