@@ -25,6 +25,9 @@ _SAME_IMAGE = 0.01
 _ISLAND_SHARE = 0.01
 _HOLE_SHARE = 0.0005
 _HOLE = 20
+_AROUND = 4  # pixels around a hole
+_DARKER = 0.5  # of the stored values around
+_LOOKED_AT = 200  # holes
 _UNLIT = 0.06  # of the others' reach, in stored values
 
 
@@ -43,7 +46,7 @@ def look_at_values(
     samples = images[:, ::step, ::step][:, mask[::step, ::step]]  # [N, P, 3]
     return [
         *_count_findings(len(images), inside),
-        *_mask_findings(mask),
+        *_mask_findings(mask, images),
         *_exposure_findings(samples, names),
         *_light_findings(samples, names),
     ]
@@ -70,10 +73,11 @@ def _count_findings(count: int, inside: int) -> list[Finding]:
     return found
 
 
-def _mask_findings(mask: np.ndarray) -> list[Finding]:
+def _mask_findings(mask: np.ndarray, images: np.ndarray) -> list[Finding]:
     """Parts of the mask that are hardly meant: specks, islands, pinholes."""
-    mask = mask[mask_box(mask)].astype(np.uint8)
-    _, _, stats, _ = cv2.connectedComponentsWithStats(mask)
+    rows, columns = mask_box(mask)
+    images, mask = images[:, rows, columns], mask[rows, columns]
+    _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     areas = np.sort(stats[1:, cv2.CC_STAT_AREA])[::-1]
     specks = areas[areas < _ISLAND_SHARE * areas[0]]
     islands = areas[: len(areas) - len(specks)]
@@ -95,8 +99,7 @@ def _mask_findings(mask: np.ndarray) -> list[Finding]:
                 "expected; join the parts, or estimate each with a mask of its own",
             )
         )
-    holes = _hole_areas(mask)
-    holes = holes[holes <= max(_HOLE, _HOLE_SHARE * areas[0])]
+    holes = _filled_holes(mask, images)
     if len(holes):
         found.append(
             Finding(
@@ -109,12 +112,45 @@ def _mask_findings(mask: np.ndarray) -> list[Finding]:
     return found
 
 
-def _hole_areas(mask: np.ndarray) -> np.ndarray:
-    """Pixels of each part of the background that the mask surrounds."""
-    outside = np.pad(1 - mask, 1, constant_values=1)
+def small_holes(mask: np.ndarray) -> np.ndarray:
+    """Small parts of the background that a mask surrounds: `[H, W]`, bool."""
+    labels, numbers, _ = _holes(mask)
+    return np.isin(labels, numbers)
+
+
+def _holes(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Labels `[H, W]` of the background's parts; the small holes' numbers, boxes."""
+    outside = np.pad((~mask).astype(np.uint8), 1, constant_values=1)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(outside, connectivity=4)
-    inner = np.arange(1, len(stats)) != labels[0, 0]
-    return stats[1:, cv2.CC_STAT_AREA][inner]
+    areas = stats[:, cv2.CC_STAT_AREA]
+    small = areas <= max(_HOLE, _HOLE_SHARE * np.count_nonzero(mask))
+    small[[0, labels[0, 0]]] = False
+    numbers = np.flatnonzero(small)
+    return labels[1:-1, 1:-1], numbers, stats[numbers]
+
+
+def _filled_holes(mask: np.ndarray, images: np.ndarray) -> np.ndarray:
+    """Areas of small holes in which the object is seen: about as bright as around.
+
+    Where it is darker there, the object has a hole.
+    """
+    labels, numbers, stats = _holes(mask)
+    areas = stats[:, cv2.CC_STAT_AREA]
+    if not len(numbers):
+        return areas
+    brightest = images[0].max(axis=-1)
+    for image in images[1:]:
+        brightest = np.maximum(brightest, image.max(axis=-1))
+    seen = np.ones(len(numbers), bool)
+    for index in range(min(len(numbers), _LOOKED_AT)):
+        left, top, width, height = stats[index, :4]  # of a frame of one pixel more
+        rows = slice(max(top - 1 - _AROUND, 0), top - 1 + height + _AROUND)
+        columns = slice(max(left - 1 - _AROUND, 0), left - 1 + width + _AROUND)
+        hole, near = labels[rows, columns] == numbers[index], mask[rows, columns]
+        values = brightest[rows, columns]
+        around = np.percentile(values[near], 20)
+        seen[index] = np.median(values[hole]) > _DARKER * around
+    return areas[seen]
 
 
 def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Finding]:

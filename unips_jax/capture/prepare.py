@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from unips_jax.capture.advice import small_holes
 from unips_jax.capture.masks import suggest_mask
 from unips_jax.capture.motion import Motion, find_motion
 from unips_jax.capture.registration import register
@@ -25,6 +26,8 @@ def with_suggested_mask(capture: Capture) -> Capture:
     mask = guess.mask & capture.mask
     if not mask.any():
         return dataclasses.replace(capture, mask_contrast=0.0)
+    # Black specks on an object are a part of it.
+    mask |= guess.mask & small_holes(mask)
     # What was left out of the whole image lies around the object: no news.
     return dataclasses.replace(
         capture, mask=mask, mask_contrast=guess.figure, mask_rule=guess.rule, notes=()
