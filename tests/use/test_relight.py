@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from plain_objects import hemisphere
 
-from unips_jax import DistantLights, Materials, relight
+from unips_jax import DistantLights, Materials, estimate_lights, relight
 from unips_jax.cli.relight import main
+from unips_jax.io.color import as_linear
+from unips_jax.io.images import read_image
 from unips_jax.lighting.environment import blurred, glossy_light, sphere, turned
 from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
+from unips_jax.lighting.light_files import write_lights
 
 NORMALS, MASK, _ = hemisphere(24)
 WHITE = Materials(jnp.ones(3), 0.5, 0.0, specular=0.0)
@@ -237,10 +240,42 @@ def test_command_takes_an_environment_and_a_colour(result, tmp_path):
     assert image[12, 4, 2] > image[12, 20, 2] + 50
 
 
+def test_command_takes_the_lights_of_photographs(result, tmp_path):
+    """As the photographs of another object were lit, one picture for each."""
+    directions = np.array([[0.6, 0, 0.8], [-0.6, 0, 0.8]])
+    images = np.maximum(np.einsum("hwk,nk->nhw", NORMALS, directions), 0)
+    images = np.repeat(images[..., None], 3, -1).astype(np.float32)
+    images[1] *= 0.5
+    earlier = tmp_path / "earlier"
+    earlier.mkdir()
+    lights = estimate_lights(images, NORMALS, MASK, guesses=directions)
+    write_lights(earlier, ["a.png", "b.png"], lights)
+    given = [str(result), "-o", str(tmp_path / "out"), "--roughness", "1"]
+    for source, share in ((earlier, 0.5), (earlier / "lights.lp", 1)):
+        assert main([*given, "--lights-from", str(source)]) == 0
+        first, second = (
+            as_linear(read_image(tmp_path / "out" / name), "srgb")[..., 0]
+            for name in ("relit.png", "relit-01.png")
+        )
+        assert first[12, 19] > 2 * first[12, 4]
+        np.testing.assert_allclose(
+            second[:, ::-1][MASK], share * first[MASK], atol=0.05
+        )
+        record = json.loads((tmp_path / "out" / "relight.json").read_text())
+        assert record["files"] == ["relit-01.png", "relit.exr", "relit.png"]
+        assert record["lights_from"] == str(source) and record["light"] is None
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--light", "0", "0", "0"], "--light: expected a direction, not 0"),
+        (["--lights-from", "thing"], "expected a result with lights.json"),
+        (
+            ["--light", "1", "0", "1", "--lights-from", "thing"],
+            "--light: expected one kind of light, got --lights-from too",
+        ),
+        (["--lights-from", "thing", "--turn", "gif"], "--turn: expected a light that"),
         (["--roughness", "2"], "--roughness: expected 0.03 to 1.0, got 2.0"),
         (["--environment", "absent.hdr"], "absent.hdr: "),
         (["--base-color", "small.png"], "expected the normals' size, 24 x 24"),

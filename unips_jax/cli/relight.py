@@ -4,6 +4,9 @@ RESULT is a folder of `unips estimate` (its base colour is taken, where it has o
 normal map or a .npy. OUT receives relit.png (8 bit, sRGB), relit.exr (linear light) and
 relight.json; with --turn also turning.mp4, .gif or .webp, in which the light, or the
 environment, goes once around. No shadows are cast.
+
+With --lights-from, relit.png and .exr are lit as the first photograph of that result
+was, relit-01.png and so on as the others.
 """
 
 import dataclasses
@@ -42,6 +45,8 @@ class Options:
         output: folder for the pictures.
         light: direction to a distant light: x right, y up, z to the viewer; by default
             from the upper left, unless there is an environment.
+        lights_from: in place of a light, those of another result's photographs, its
+            lights.json, or the directions of a list (.lp).
         environment: an equirectangular picture, best .hdr or .exr; its middle is behind
             the object.
         yaw: turn the environment by that many degrees, counter-clockwise from above.
@@ -64,6 +69,7 @@ class Options:
     result: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RESULT")]
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     light: tuple[float, float, float] | None = None
+    lights_from: Annotated[Path | None, tyro.conf.arg(metavar="RESULT|FILE.lp")] = None
     environment: Path | None = None
     yaw: float = 0.0
     turn: AnimationFormat | None = None
@@ -89,15 +95,23 @@ def main(argv: Sequence[str] | None = None) -> None:
     print_examined(examined)
     normals = examined.normals
     base_color, source = _base_color(options, normals.shape[:2])
-    environment = None
+    environment, rig = None, None
     if options.environment is not None:
         environment = _linear(options.environment)
+    if options.lights_from is not None:
+        rig = _rig(options.lights_from)
     start_jax()
-    render = _renderer(options, normals, base_color, environment)
+    if rig is None:
+        render = _renderer(options, normals, base_color, environment)
+    else:
+        render = _rig_renderer(options, normals, base_color, rig)
     with appearing_at_once(options.output, record=RECORD) as place:
         image = render(0.0)
         gain = _gain(image, normals) * 2**options.exposure
         write_image(place / "relit.png", _encoded(image * gain))
+        for index in range(1, 0 if rig is None else len(rig[0])):
+            lit = _encoded(render(index) * gain)
+            write_image(place / f"relit-{index:02}.png", lit)
         write_exr(place / "relit.exr", {"RGB": image * np.float32(gain)})
         if options.turn is not None:
             path = place / f"turning.{options.turn}"
@@ -108,7 +122,10 @@ def main(argv: Sequence[str] | None = None) -> None:
             "mended": examined.mended,
             "warnings": examined.doubts,
             "base_color": source,
-            "light": None if options.environment else _direction(options),
+            "light": None
+            if options.environment or options.lights_from
+            else _direction(options),
+            "lights_from": str(options.lights_from) if options.lights_from else None,
             "environment": str(options.environment) if options.environment else None,
             "gain": gain,
             "options": {
@@ -123,12 +140,21 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def _check(options: Options) -> None:
+    given = [
+        f"--{name.replace('_', '-')}"
+        for name in ("light", "lights_from", "environment")
+        if getattr(options, name) is not None
+    ]
+    if len(given) > 1:
+        raise InputError(
+            f"{given[0]}: expected one kind of light, got {given[1]} too; leave one out"
+        )
+    if options.lights_from is not None and options.turn is not None:
+        raise InputError(
+            "--turn: expected a light that can go around, got --lights-from; leave one "
+            "out"
+        )
     if options.light is not None:
-        if options.environment is not None:
-            raise InputError(
-                "--light: expected one kind of light, got --environment too; leave one "
-                "out"
-            )
         length = math.hypot(*options.light)
         if not (math.isfinite(length) and length > 0):
             raise InputError(
@@ -208,6 +234,41 @@ def _renderer(
 
     return lambda degrees: np.asarray(
         render(normals, base_color, environment, np.float32(degrees))
+    )
+
+
+def _rig(source: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each photograph's light: direction and colour, `[N, 3]`, and the rest.
+
+    The rest are `[N, 9, 3]`, harmonics of what does not come from there.
+    """
+    from unips_jax.lighting.rig import read_rig
+
+    found = read_rig(source)
+    if isinstance(found, np.ndarray):  # lamps alone
+        return found, np.full_like(found, math.pi), np.zeros((len(found), 9, 3))
+    return found.directions, found.colors, found.surroundings
+
+
+def _rig_renderer(
+    options: Options,
+    normals: np.ndarray,
+    base_color: np.ndarray,
+    rig: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> Callable[[float], np.ndarray]:
+    """The image as a function of the light's number."""
+    import jax
+
+    from unips_jax.lighting.relight import DistantLights, Materials, relight
+
+    @jax.jit
+    def render(normals, base_color, direction, color, around):
+        materials = Materials(base_color, options.roughness, options.metallic)
+        lamp = DistantLights(direction[None], color[None])
+        return relight(normals, materials, lamp, around, focal=options.focal)
+
+    return lambda index: np.asarray(
+        render(normals, base_color, *(np.float32(x[int(index)]) for x in rig))
     )
 
 

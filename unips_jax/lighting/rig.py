@@ -31,8 +31,10 @@ def rig_file(source: Path) -> Path:
     return path
 
 
-def read_rig(source: Path, names: Sequence[str]) -> Lights | np.ndarray:
+def read_rig(source: Path, names: Sequence[str] | None = None) -> Lights | np.ndarray:
     """The lights of photographs, by their names, or in order if there are as many.
+
+    Without names, all lights in their order.
 
     Returns:
         The lights, or of a list unit directions `[N, 3]`.
@@ -92,8 +94,10 @@ def _stored(path: Path) -> dict[str, list[Any]]:
     return columns
 
 
-def _rows(known: Sequence[str], names: Sequence[str], source: Path) -> list[int]:
+def _rows(known: Sequence[str], names: Sequence[str] | None, source: Path) -> list[int]:
     """Which light is each photograph's."""
+    if names is None:
+        return list(range(len(known)))
     places = {Path(name).stem.casefold(): row for row, name in enumerate(known)}
     wanted = [Path(name).stem.casefold() for name in names]
     if all(name in places for name in wanted):
