@@ -1,13 +1,13 @@
 r"""What further parts and losses gain, from the shipped weights: one arm of four.
 
     export MALLOC_ARENA_MAX=1 MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=-1
-    unips train --config configs/ablation.py --init-weights tiny --workdir runs/nothing
-    unips train --config configs/ablation.py --init-weights tiny --workdir runs/fine \
+    unips train --config ablation --init-weights tiny --workdir runs/nothing
+    unips train --config ablation --init-weights tiny --workdir runs/fine \
         --model.fine-dim 32
-    unips train --config configs/ablation.py --init-weights tiny --workdir runs/light \
+    unips train --config ablation --init-weights tiny --workdir runs/light \
         --model.light-tokens --data.pixel-blocks \
         --train.steepness-weight 1 --train.differences-weight 0.1
-    unips train --config configs/ablation.py --init-weights tiny --workdir runs/all \
+    unips train --config ablation --init-weights tiny --workdir runs/all \
         --model.fine-dim 32 --model.light-tokens --data.pixel-blocks \
         --train.steepness-weight 1 --train.differences-weight 0.1
 

@@ -1,7 +1,7 @@
 r"""The long run: rich scenes at a constant rate, until nothing more is gained.
 
     python tools/fetch_assets.py assets --shapes
-    unips train --config configs/long.py --workdir runs/long --init-weights tiny
+    unips train --config long --workdir runs/long --init-weights tiny
 
 What: `tiny` from its weights, on scenes of which a third are meshes by others and a
 third lie in photographed environments, with light that bounces from what is near,

@@ -1,7 +1,7 @@
 r"""For one GPU, on scenes made on the device.
 
     python tools/widen_weights.py tiny -o begin.safetensors
-    unips train --config configs/small.py --workdir runs/small \
+    unips train --config small --workdir runs/small \
         --init-weights begin.safetensors
 
 What: 27 M parameters, `tiny` twice as wide and on larger images. Its run begins from

@@ -1,7 +1,7 @@
 r"""The embedded default: small enough to train on two CPU cores.
 
     export MALLOC_ARENA_MAX=1 MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=-1
-    unips train --config configs/tiny.py --workdir runs/tiny
+    unips train --config tiny --workdir runs/tiny
 
 (with the first line, which is for Linux, a step takes a third less time.)
 
@@ -19,7 +19,7 @@ by 44 runs, 73,270 steps, each from the weights before (`docs/history/tiny.md`);
 scenes here they have not seen those of `side_rate` and `whole_frame_rate`. A further
 run is
 
-    unips train --config configs/tiny.py --workdir runs/more --init-weights tiny \
+    unips train --config tiny --workdir runs/more --init-weights tiny \
         --optim.learning-rate 2e-4 --optim.warmup-steps 30 --optim.fall-steps 600 \
         --optim.ema-decay 0.99 --train.steps 1000 --train.seed 1
 
