@@ -90,7 +90,8 @@ def new_file(path: Path, *, sync: bool = False) -> Iterator[BinaryIO]:
         path: the file; its folder is made if it is not there.
         sync: it is on the disk when it appears, even if the power fails.
     """
-    with new_path(path, suffix="") as part, part.open("wb") as file:
+    # Readable too: NumPy then writes by the file's own methods, whose errors say why.
+    with new_path(path, suffix="") as part, part.open("w+b") as file:
         yield file
         file.flush()
         if sync:
