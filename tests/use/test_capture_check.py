@@ -14,7 +14,7 @@ from plain_objects import PLAIN, lights, photographs
 
 from unips_jax.capture.check import check_capture
 from unips_jax.capture.folder import check_photographs
-from unips_jax.capture.light import rough_lights
+from unips_jax.capture.light import look_at_light, rough_lights
 from unips_jax.capture.motion import find_motion
 from unips_jax.capture.registration import register
 from unips_jax.cli import main as cli
@@ -239,10 +239,35 @@ def test_light_along_the_lens():
     assert [f.kind for f in check(images, mask)] == ["light along the lens"]
 
 
+def test_light_from_a_sky_reaches_both_sides():
+    directions = lights(8, np.linspace(60, 120, 8))
+    images, mask = photographs(3, directions=directions, srgb=False)
+    ambient = images.max(axis=0, keepdims=True).astype(float)
+    assert [f.kind for f in look_at_light(images, mask, "linear")]
+    surroundings = np.rint(
+        0.4 * images + 0.6 * ambient[:, mask].mean() * mask[..., None]
+    )
+    assert look_at_light(surroundings.astype(np.uint8), mask, "linear") == []
+
+
+def test_a_relief_shows_no_light_along_the_lens():
+    """Its outline says nothing of its shape."""
+    rng = np.random.default_rng(0)
+    height = cv2.GaussianBlur(rng.normal(size=(180, 220)), (0, 0), 4) * 100
+    down, right = np.gradient(height)
+    normals = np.stack([-right, down, np.ones_like(down)], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    mask = np.zeros((180, 220), bool)
+    mask[20:160, 30:190] = True
+    values = np.maximum(normals @ lights(8).T, 0).transpose(2, 0, 1) * mask
+    images = np.repeat(values[..., None] * 200, 3, -1).astype(np.uint8)
+    assert look_at_light(images, mask, "linear") == []
+
+
 def test_lights_are_roughly_right():
     directions = lights(12, elevation=50)
     images, mask = photographs(3, directions=directions, second=(0.2, 0.2, 0.2))
-    found = rough_lights(images, mask, "srgb")
+    found = rough_lights(images, mask, "srgb").directions
     turn = np.degrees(
         np.angle((found[:, 0] + 1j * found[:, 1]) / (directions @ [1, 1j, 0]))
     )

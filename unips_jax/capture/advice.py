@@ -23,6 +23,7 @@ _DARK_LEVELS = 32
 _SAME_LIGHT = 0.05
 _SAME_IMAGE = 0.01
 _ISLAND_SHARE = 0.01
+_SPECKS = 4  # pixels
 _HOLE_SHARE = 0.0005
 _HOLE = 20
 _AROUND = 4  # pixels around a hole
@@ -82,7 +83,7 @@ def _mask_findings(mask: np.ndarray, images: np.ndarray) -> list[Finding]:
     specks = areas[areas < _ISLAND_SHARE * areas[0]]
     islands = areas[: len(areas) - len(specks)]
     found = []
-    if len(specks):
+    if specks.sum() >= _SPECKS:
         found.append(
             Finding(
                 "specks in the mask",
@@ -99,7 +100,7 @@ def _mask_findings(mask: np.ndarray, images: np.ndarray) -> list[Finding]:
                 "expected; join the parts, or estimate each with a mask of its own",
             )
         )
-    holes = _filled_holes(mask, images)
+    holes = filled_holes(mask, images)[1]
     if len(holes):
         found.append(
             Finding(
@@ -129,15 +130,15 @@ def _holes(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return labels[1:-1, 1:-1], numbers, stats[numbers]
 
 
-def _filled_holes(mask: np.ndarray, images: np.ndarray) -> np.ndarray:
-    """Areas of small holes in which the object is seen: about as bright as around.
+def filled_holes(mask: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Small holes in which the object is seen, about as bright as around, and areas.
 
-    Where it is darker there, the object has a hole.
+    Where it is darker there, the object has a hole. `[H, W]`, bool, and `[K]`.
     """
     labels, numbers, stats = _holes(mask)
     areas = stats[:, cv2.CC_STAT_AREA]
     if not len(numbers):
-        return areas
+        return np.zeros_like(mask), areas
     brightest = images[0].max(axis=-1)
     for image in images[1:]:
         brightest = np.maximum(brightest, image.max(axis=-1))
@@ -148,9 +149,8 @@ def _filled_holes(mask: np.ndarray, images: np.ndarray) -> np.ndarray:
         columns = slice(max(left - 1 - _AROUND, 0), left - 1 + width + _AROUND)
         hole, near = labels[rows, columns] == numbers[index], mask[rows, columns]
         values = brightest[rows, columns]
-        around = np.percentile(values[near], 20)
-        seen[index] = np.median(values[hole]) > _DARKER * around
-    return areas[seen]
+        seen[index] = np.median(values[hole]) > _DARKER * np.median(values[near])
+    return np.isin(labels, numbers[seen]), areas[seen]
 
 
 def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Finding]:

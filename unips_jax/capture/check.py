@@ -11,12 +11,16 @@ from unips_jax.capture.advice import look_at_values
 from unips_jax.capture.findings import Finding, by_file, some
 from unips_jax.capture.light import look_at_encoding, look_at_light
 from unips_jax.capture.motion import Motion, find_motion
+from unips_jax.capture.shading import sums_of_parts
 from unips_jax.io.masks import mask_box
 from unips_jax.io.photographs import Capture
 
 _UNTAGGED = "8-bit values"  # the rule of `io.color` where no tag says
 _FOCUS_SIDE = 1024
-_BLURRED = 0.7  # of the median of fine detail over coarse
+_BLURRED = 0.6  # of the median of fine detail over coarse
+_BLURRED_PARTS = 0.85  # likewise, in three quarters of the picture's parts
+_FEWEST_PARTS = 6
+_PART = 8  # least side
 _WHOLE = 0.95  # of the image: less was cut out of black
 _EXPOSURES = 1.26  # a third of a stop
 
@@ -85,12 +89,15 @@ def _look_at_focus(
     inside = cv2.erode(mask[rows, columns].astype(np.uint8), np.ones((9, 9))) > 0
     if inside.sum() < 400:
         return []
-    detail = [_detail(image[rows, columns], inside) for image in images]
-    typical = statistics.median(detail) or 1.0
+    bands = [_bands(image[rows, columns], inside) for image in images]  # [N, 2, h, w]
+    detail = np.array([fine.sum() / max(coarse.sum(), 1e-9) for fine, coarse in bands])
+    detail /= np.median(detail) or 1.0
     soft = {
-        name: value / typical
-        for name, value in zip(names, detail, strict=True)
-        if value < _BLURRED * typical
+        name: float(value)
+        for name, value, part in zip(
+            names, detail, _soft_parts(bands, inside), strict=True
+        )
+        if value < _BLURRED and part < _BLURRED_PARTS
     }
     return by_file(
         "out of focus",
@@ -106,12 +113,32 @@ def _middle(side: slice, most: int) -> slice:
     return slice(side.start + spare, side.stop - spare)
 
 
-def _detail(image: np.ndarray, inside: np.ndarray) -> float:
+def _bands(image: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How much fine and coarse detail there is: `[h, w]` each, 0 outside."""
     grey = image.astype(np.float32).mean(axis=-1)
     log = np.log(grey + max(0.05 * float(np.percentile(grey[inside], 99)), 1e-12))
     a, b, c, d = (cv2.GaussianBlur(log, (0, 0), s) for s in (0.7, 1.4, 2.8, 5.6))
-    coarse = float(np.abs(c - d)[inside].mean())
-    return float(np.abs(a - b)[inside].mean()) / max(coarse, 1e-9)
+    return np.abs(a - b) * inside, np.abs(c - d) * inside
+
+
+def _soft_parts(
+    bands: Sequence[tuple[np.ndarray, np.ndarray]], inside: np.ndarray
+) -> np.ndarray:
+    """Below what share of the others' fine detail three quarters of the parts are.
+
+    Light changes detail in some parts of a picture, a lens in all.
+    """
+    fine, coarse = (
+        np.array([sums_of_parts(pair[band], _PART) for pair in bands])
+        for band in (0, 1)
+    )
+    known = sums_of_parts(inside.astype(np.float32), _PART) > _PART**2 / 2
+    if np.count_nonzero(known) < _FEWEST_PARTS:
+        return np.ones(len(bands))
+    ratios = np.log((fine[:, known] + 1e-9) / (coarse[:, known] + 1e-6))
+    others = [np.delete(ratios, i, axis=0) for i in range(len(ratios))]
+    usual = np.median(others, axis=1)
+    return np.exp(np.quantile(ratios - usual, 0.75, axis=1))
 
 
 def _look_at_cameras(capture: Capture, names: Sequence[str]) -> list[Finding]:

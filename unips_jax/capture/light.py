@@ -5,6 +5,8 @@ photograph is the direction whose shading of it fits best: on real objects it is
 by some twenty degrees of azimuth, which is enough to see that a side is missing.
 """
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -16,6 +18,8 @@ _TOUCHING = 0.25  # of the outline along the image's border: no outline of an ob
 _FEW = 4
 _ONE_SIDE = 0.27  # of the mean direction, across the view
 _OPPOSITE = 0.05
+_ROUND = 0.3  # correlation from which on an object is somewhat round
+_LIT = 0.4  # share of the near side's light from which on the far one is lit too
 _ALONG = 10.0  # degrees from the lens' axis
 _ALONG_MOST = 15.0
 _SIDES = "right,upper right,top,upper left,left,lower left,bottom,lower right"
@@ -25,12 +29,28 @@ _CLEARLY = 2.7
 _LINEAR_LEAST = 6
 
 
+class RoughLights(NamedTuple):
+    """Where the light of photographs comes from, as a round solid would show it."""
+
+    directions: np.ndarray  # `[N, 3]`, unit: x right, y up, z to the viewer
+    normals: np.ndarray  # `[P, 3]` of the solid
+    values: np.ndarray  # `[N, P]`, linear, without highlights
+
+    @property
+    def fit(self) -> float:
+        """The correlation of shading and photographs, the middle one."""
+        shading = self.directions @ self.normals.T
+        pairs = zip(shading, self.values, strict=True)
+        return float(np.median([np.corrcoef(s, v)[0, 1] for s, v in pairs]))
+
+
 def rough_lights(
     images: np.ndarray, mask: np.ndarray, transfer: Transfer
-) -> np.ndarray | None:
-    """Directions `[N, 3]` towards the light: x right, y up, z to the viewer.
+) -> RoughLights | None:
+    """The lights of photographs `[N, H, W, 3]`, roughly.
 
-    None where the outline of the mask, of one object, is not the object's.
+    The mask, `[H, W]`, is that of one object, its outline the object's; None where it
+    is not.
     """
     touching = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).sum()
     outline = mask.sum() - cv2.erode(mask.astype(np.uint8), np.ones((3, 3))).sum()
@@ -41,13 +61,16 @@ def rough_lights(
     if small.sum() < 100:
         return None
     normals = _round_solid(small)[small]
-    directions = []
-    for image in images:
-        values = as_linear(_reduced(image, scale), transfer).mean(axis=-1)[small]
-        values = np.minimum(values, np.percentile(values, 95))  # highlights
-        directions.append(np.linalg.lstsq(normals, values, rcond=None)[0])
-    found = np.array(directions)
-    return found / np.maximum(np.linalg.norm(found, axis=-1, keepdims=True), 1e-12)
+    stack = np.stack(
+        [
+            as_linear(_reduced(image, scale), transfer).mean(axis=-1)[small]
+            for image in images
+        ]
+    )
+    values = np.minimum(stack, np.percentile(stack, 95, axis=1, keepdims=True))
+    found = np.linalg.lstsq(normals, values.T, rcond=None)[0].T
+    found /= np.maximum(np.linalg.norm(found, axis=-1, keepdims=True), 1e-12)
+    return RoughLights(found, normals, values)
 
 
 def look_at_light(
@@ -56,9 +79,10 @@ def look_at_light(
     """Reports light that comes from one side only, or along the lens."""
     if len(images) < _FEW:
         return []
-    lights = rough_lights(images, mask, transfer)
-    if lights is None:
+    rough = rough_lights(images, mask, transfer)
+    if rough is None or not rough.fit > _ROUND:
         return []
+    lights = rough.directions
     tilts = np.degrees(np.arccos(np.clip(lights[:, 2], -1, 1)))
     if np.median(tilts) < _ALONG and tilts.max() < _ALONG_MOST:
         return [
@@ -74,6 +98,8 @@ def look_at_light(
     towards = mean / max(float(np.hypot(*mean)), 1e-12)
     if np.hypot(*mean) < _ONE_SIDE or (lights[:, :2] @ towards).min() < -_OPPOSITE:
         return []
+    if _far_side(rough, towards) > _LIT:
+        return []
     azimuth = float(np.degrees(np.arctan2(mean[1], mean[0])))
     side = round(azimuth / 45)
     return [
@@ -84,6 +110,21 @@ def look_at_light(
             figures={"azimuth": azimuth, "mean": float(np.hypot(*mean))},
         )
     ]
+
+
+def _far_side(rough: RoughLights, towards: np.ndarray) -> float:
+    """How bright the side away from the light is, as a share of the near one's.
+
+    Skies are brighter above, but light all of an object.
+    """
+    turned = rough.normals[:, :2] @ towards
+    far, near = turned < -0.4, turned > 0.4
+    if not (far.any() and near.any()):
+        return 0.0
+    shares = np.median(rough.values[:, far], axis=1) / np.maximum(
+        np.median(rough.values[:, near], axis=1), 1e-9
+    )
+    return float(np.median(shares))
 
 
 def look_at_encoding(images: np.ndarray, mask: np.ndarray) -> list[Finding]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from unips_jax.capture.advice import small_holes
+from unips_jax.capture.advice import filled_holes, small_holes
 from unips_jax.capture.masks import suggest_mask
 from unips_jax.capture.motion import Motion, find_motion
 from unips_jax.capture.registration import register
@@ -26,8 +26,9 @@ def with_suggested_mask(capture: Capture) -> Capture:
     mask = guess.mask & capture.mask
     if not mask.any():
         return dataclasses.replace(capture, mask_contrast=0.0)
-    # Black specks on an object are a part of it.
+    # Black specks on an object are a part of it, and so is what looks like it.
     mask |= guess.mask & small_holes(mask)
+    mask |= filled_holes(mask, capture.images)[0]
     # What was left out of the whole image lies around the object: no news.
     return dataclasses.replace(
         capture, mask=mask, mask_contrast=guess.figure, mask_rule=guess.rule, notes=()

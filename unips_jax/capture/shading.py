@@ -61,13 +61,13 @@ def shift_of(
         costs.append(pair)
     best = int(np.argmin([with_it.sum() / before.sum() for before, with_it in costs]))
     before, with_it = costs[best]
-    gains = _sums_of_parts((before - with_it).reshape(picture.shape))
+    gains = sums_of_parts((before - with_it).reshape(picture.shape))
     return Shift(found[best], _spreads(gains))
 
 
-def _sums_of_parts(values: np.ndarray) -> np.ndarray:
+def sums_of_parts(values: np.ndarray, least: int = 6) -> np.ndarray:
     """The sums of a picture's parts, squares of a sixteenth of its longer side."""
-    side = max(6, max(values.shape) // _PARTS)
+    side = max(least, max(values.shape) // _PARTS)
     rows, columns = (max(1, n // side) for n in values.shape)
     cut = values[: rows * side, : columns * side]
     return cut.reshape(rows, -1, columns, cut.shape[1] // columns).sum(axis=(1, 3))
