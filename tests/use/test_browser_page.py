@@ -4,7 +4,9 @@ import base64
 import contextlib
 import functools
 import http.server
+import json
 import os
+import re
 import runpy
 import shutil
 import threading
@@ -26,6 +28,7 @@ from unips_jax.weights import save_weights
 
 pytest.importorskip("selenium", reason="selenium is not installed")
 from browser import ABSENT, browser, messages  # noqa: E402
+from selenium.webdriver.support.ui import Select  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "unips_jax" / "assets" / "sample" / "obj000.data"
@@ -37,11 +40,13 @@ pytestmark = [
     ),
 ]
 TOOLS = ROOT / "tools"
+SOURCE = TOOLS / "browser"
 with pytest.MonkeyPatch.context() as patched:
     patched.syspath_prepend(TOOLS)
     build = runpy.run_path(str(TOOLS / "build_browser_page.py"))["main"]
 # Nothing but the test's own server is found.
 ALONE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+PATIENCE_S = 1200  # several processes may share two cores
 BYTES = """
 const bytes = unips.normalsPng();
 let text = "";
@@ -64,7 +69,7 @@ def opened(page):
         threading.Thread(target=server.serve_forever, daemon=True).start()
         with browser(arguments=(ALONE,)) as driver:
             driver.get(f"http://127.0.0.1:{server.server_port}/")
-            until(driver, "return crossOriginIsolated && !!window.unips", 60)
+            until(driver, "return crossOriginIsolated && !!window.unips")
             yield driver
         server.shutdown()
 
@@ -73,8 +78,8 @@ def overlap(a, b):
     return (a & b).sum() / (a | b).sum()
 
 
-def until(driver, condition, seconds):
-    end = time.monotonic() + seconds
+def until(driver, condition):
+    end = time.monotonic() + PATIENCE_S
     while not driver.execute_script(condition):
         status = driver.execute_script("return document.body.innerText")
         assert time.monotonic() < end, f"{status}\n{messages(driver)}"
@@ -87,19 +92,19 @@ def choose(driver, files):
     said = "document.getElementById('status')"
     until(
         driver,
-        f"return /^\\d+ photographs|expected/.test({said}.textContent)",
+        f"return /^\\d+ photographs? of|expected/.test({said}.textContent)",
         60,
     )
     return driver.execute_script(f"return {said}.textContent")
 
 
-def normals_by_page(driver, folder, seconds=240):
+def normals_by_page(driver, folder):
     assert "photographs of" in choose(driver, sorted(folder.iterdir()))
     if not (folder / "mask.png").exists():
         driver.find_element("id", "whole").click()
     driver.execute_script("document.getElementById('side').value = '0'")
     driver.find_element("id", "estimate").click()
-    until(driver, "return !document.getElementById('download').hidden", seconds)
+    until(driver, "return !document.getElementById('download').hidden")
     path = folder.parent / f"{folder.name}.png"
     path.write_bytes(base64.b64decode(driver.execute_script(BYTES)))
     return read_normals(path)
@@ -156,7 +161,47 @@ def test_page(small, tmp_path):
         assert np.abs(np.array(values) - expected).max() <= 2
         refused = choose(driver, [tmp_path / "one.jpg", tmp_path / "eight" / "p0.png"])
         assert "one.jpg: expected" in refused or "p0.png: expected" in refused
+        check_languages(driver)
         assert not [text for text in messages(driver) if "Error" in text]
+
+
+def check_languages(driver):
+    """All is said in German too, and again in English."""
+    english = driver.execute_script("return document.body.innerText")
+    menu = Select(driver.find_element("id", "language"))
+    assert [option.text for option in menu.options] == ["English", "Deutsch"]
+    menu.select_by_value("de")
+    german = driver.execute_script("return document.body.innerText")
+    assert "Fotos auswählen" in german and "photograph" not in german
+    assert ": erwartet wurden" in german  # what was refused is said again
+    said = driver.execute_script(
+        "return [...document.querySelectorAll('[data-t]')].map((e) => e.textContent)"
+    )
+    assert len(said) > 20 and all(said)
+    driver.get(driver.current_url)  # chosen once
+    until(driver, "return !!window.unips")
+    assert driver.execute_script("return document.documentElement.lang") == "de"
+    Select(driver.find_element("id", "language")).select_by_value("en")
+    until(driver, "return document.body.innerText.includes('Choose photographs')")
+    assert "Largest side" not in english  # in Options, which are closed
+
+
+def test_both_languages_say_all_of_it():
+    table = json.loads((SOURCE / "strings.json").read_text("utf-8"))
+    english, german = table["en"], table["de"]
+    assert english.keys() == german.keys()
+    for key, text in english.items():
+        gaps = [set(re.findall(r"\{\w+\}", words)) for words in (text, german[key])]
+        assert gaps[0] == gaps[1], key
+    page = (SOURCE / "index.html").read_text("utf-8")
+    code = "".join(path.read_text("utf-8") for path in SOURCE.glob("*.js"))
+    used = set(re.findall(r'data-t(?:-label)?="(\w+)"', page))
+    used |= set(re.findall(r'\b(?:t|tell|after)\("(\w+)"', code))
+    used |= {f"refused_{key}" for key in re.findall(r'Refusal\("(\w+)"', code)}
+    used |= {f"stage_{key}" for key in re.findall(r'stage: "(\w+)"', code)}
+    assert len(used) > 40 and used <= english.keys()
+    # Nothing is said past the table.
+    assert not re.findall(r">[^<>{}]*[A-Za-z]{3}[^<>{}]*</(?:p|h1|button|span)>", page)
 
 
 def mask_of(driver, shape):
@@ -214,20 +259,20 @@ def test_mask_viewer_and_reload(small, tmp_path):
         driver.execute_script("document.getElementById('status').textContent = ''")
         corner = columns[-1] + 7, rows[-1] + 7
         drag(driver, "box", (columns[0] - 6, rows[0] - 6), corner)
-        until(driver, f"return /object was found|stands out/.test({STATUS})", 120)
+        until(driver, f"return /object was found|stands out/.test({STATUS})")
         assert overlap(mask_of(driver, truth.shape), truth) > 0.9
         # The viewer at the end, with a surface that turns.
         driver.execute_script("document.getElementById('side').value = '0'")
         driver.find_element("id", "estimate").click()
-        until(driver, f"return {READY} && /^done/.test({STATUS})", 240)
+        until(driver, f"return {READY} && /^done/.test({STATUS})")
         driver.switch_to.frame("viewer")
         driver.find_element("css selector", "[data-mode=surface]").click()
-        until(driver, "return !document.getElementById('turning').hidden", 60)
+        until(driver, "return !document.getElementById('turning').hidden")
         driver.switch_to.default_content()
         # A reload takes it up again.
         kept = mask_of(driver, truth.shape)
         driver.get(driver.current_url)
-        until(driver, f"return {STATUS} === 'as it was left' && {READY}", 240)
+        until(driver, f"return {STATUS} === 'as it was left' && {READY}")
         np.testing.assert_array_equal(mask_of(driver, truth.shape), kept)
         assert not [text for text in messages(driver) if "Error" in text]
 
@@ -251,7 +296,7 @@ def test_a_run_that_was_cut_off_goes_on(small, tmp_path):
             """
         )
         driver.get(driver.current_url)
-        until(driver, "return !!window.unips?.state.result", 240)
+        until(driver, "return !!window.unips?.state.result")
         normals = driver.execute_script("return [...unips.state.result.normals]")
         normals = np.reshape(normals, (21, 26, 3))
         assert (normals[6:10, 7:24] == (1, 0, 0)).all()  # kept, not computed anew
@@ -298,5 +343,5 @@ def test_page_with_the_shipped_weights(tmp_path):
     for file in SAMPLE.glob("*.png"):
         shutil.copy(file, folder)
     with opened(tmp_path / "out") as driver:
-        found = normals_by_page(driver, folder, seconds=1200)
+        found = normals_by_page(driver, folder)
     require_same(found, folder, *load_weights("tiny"))

@@ -7,6 +7,7 @@ const RADIUS = 0.012; // of the longer side
 const SMOOTH = 5e-4;
 const LEAST = 0.03; // of the picture
 const PART = 0.02; // of the largest part
+const [SHINE_SAMPLES, SHINE_DARK, SHINE_MEAN, SHINE_MEDIAN] = [60000, 0.1, 0.27, 0.05];
 const STEADY = 0.86; // overlap of the masks at 30 and 70 % of saliency
 
 // The square root of the mean photograph, 1 at its 99.5th percentile: [h, w, 3].
@@ -95,6 +96,33 @@ export function maskFrom(seen, mirrored, picture, w, h) {
   if (half < LEAST * area || border > 2 * INPUT || high < STEADY * low) return null;
   const filtered = guided(picture, resize(salient, INPUT, INPUT, w, h), w, h);
   return largeParts(filtered.map((value) => (value > 0.5 ? 1 : 0)), w, h);
+}
+
+// Whether only highlights in the dark were found; the rule of unips_jax/capture/shine.py.
+// `images` [n, size, 3] are linear, `mask` [size].
+export function isOnlyShine(images, n, mask) {
+  const size = mask.length;
+  const value = (k, i) => Math.max(...images.subarray(3 * (k * size + i), 3 * (k * size + i) + 3));
+  const middle = (values, share = 0.5) => {
+    const sorted = Float32Array.from(values).sort();
+    const at = share * (sorted.length - 1);
+    return (sorted[Math.floor(at)] + sorted[Math.ceil(at)]) / 2;
+  };
+  const [means, medians, tops, behind] = [[], [], [], []];
+  const step = Math.max(1, Math.floor(size / SHINE_SAMPLES));
+  for (let i = 0; i < size; i += step) {
+    const seen = Array.from({ length: n }, (_, k) => value(k, i));
+    const top = Math.max(...seen, 1e-12);
+    if (!mask[i]) behind.push(top);
+    else {
+      tops.push(top);
+      means.push(seen.reduce((a, b) => a + b) / n / top);
+      medians.push(middle(seen) / top);
+    }
+  }
+  if (n < 4 || !tops.length || !behind.length) return false;
+  if (middle(behind) > SHINE_DARK * middle(tops, 0.99)) return false;
+  return middle(means) < SHINE_MEAN && middle(medians) < SHINE_MEDIAN;
 }
 
 // Means over squares, by running sums; beyond the border the border's values count.

@@ -2,12 +2,12 @@
 import { encode } from "fast-png";
 import { Editor } from "./editor.js";
 import { forget, keep, recall, stayAwake } from "./keep.js";
-import { meanPicture, resize } from "./mask.js";
+import { isOnlyShine, meanPicture, resize } from "./mask.js";
 import {
-  brightestOfAll, filesOf, leaveOut, linearImages, maskOf, readFile, Refusal, requireAlike,
-  requireMaskFits,
+  brightestOfAll, filesOf, leaveOut, linearImages, maskOf, readFile, requireAlike, requireMaskFits,
 } from "./photographs.js";
 import { viewerPage } from "./surface.js";
+import { current, offer, Refusal, t } from "./text.js";
 
 const MOST_VALUES = 3e8; // numbers of all photographs: more does not fit a browser
 const MOST_KEPT = 4e8; // bytes of files
@@ -17,10 +17,15 @@ const $ = (id) => document.getElementById(id);
 const state = { photographs: [], files: [], brightest: null, mask: null, result: null };
 let worker;
 
+// What the status says: a function, so that it is said again in another language.
+let status = () => "";
 const say = (text, bad = false) => {
-  $("status").textContent = text;
+  status = text;
+  $("status").textContent = status();
   $("status").classList.toggle("bad", bad);
 };
+const tell = (key, values) => say(() => t(key, values));
+const refuse = ({ key, values }) => say(() => t(key, values), true);
 const editor = new Editor($("photograph"), (...box) => findObject(box), () => {
   $("undo").disabled = !editor.past.length;
   keep("mask", state.mask);
@@ -37,12 +42,12 @@ async function take(list, mask = null) {
   try {
     const read = [];
     for (const file of others) {
-      say(`reading ${file.name}`);
+      tell("reading", { name: file.name });
       read.push(await readFile(file));
     }
     if (read.length) requireAlike(read);
     const photographs = read.length ? read : state.photographs;
-    if (!photographs.length) throw new Refusal("expected photographs, got none");
+    if (!photographs.length) throw new Refusal("no_photographs");
     const maskFile = masks.length ? await readFile(masks[0]) : null;
     if (maskFile) requireMaskFits(maskFile, photographs[0]);
     if (read.length) [state.photographs, state.files] = [read, files];
@@ -52,21 +57,21 @@ async function take(list, mask = null) {
     if (bytes <= MOST_KEPT) await keep("files", state.files);
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
-    say(error.message, true);
+    refuse(error);
   }
 }
 
 async function show(maskFile, mask) {
-  const { width, height, tag } = state.photographs[0];
+  const { width, height } = state.photographs[0];
   state.brightest = brightestOfAll(state.photographs);
   state.mask = mask ?? (maskFile ? maskOf(maskFile) : new Uint8Array(width * height).fill(1));
-  $("auto").textContent = `as the files say (${tag})`;
+  translate();
   for (const id of ["drop", "result"]) $(id).hidden = true;
   $("normals").hidden = true;
   $("work").hidden = false;
   editor.show(picture(), state.mask, width, height);
-  const count = `${state.photographs.length} photographs of ${width} x ${height}`;
-  if (mask || maskFile) say(`${count}; what is dark is not the object`);
+  const count = () => t("count", { n: state.photographs.length, width, height });
+  if (mask || maskFile) say(() => t("ready", { count: count() }));
   else await findObject(null, count);
 }
 
@@ -95,19 +100,19 @@ function ask(message, field, onOther = () => {}) {
   worker ??= new Worker("./worker.js", { type: "module" });
   return new Promise((resolve, reject) => {
     worker.onmessage = ({ data }) => {
-      if (data.error) reject(new Refusal(data.error));
-      else if (data.stage) say(`${data.stage}...`);
+      if (data.error) reject(new Refusal("network", { error: data.error }));
+      else if (data.stage) tell(`stage_${data.stage}`);
       else if (field in data && (data.step ?? 1) === 1) resolve(data);
       else onOther(data);
     };
     worker.onerror = (event) =>
-      reject(new Refusal(event.message || "the network could not be started"));
+      reject(new Refusal("network", { error: event.message || "?" }));
     worker.postMessage(message);
   });
 }
 
 // Looks for the object, in a box if there is one, and makes it the mask.
-async function findObject(box = null, count = "") {
+async function findObject(box = null, count = null) {
   const [{ width, height }] = state.photographs;
   const step = Math.max(1, Math.ceil(Math.max(width, height) / SEEN_SIDE));
   const whole = new Uint8Array(width * height).fill(1);
@@ -128,12 +133,11 @@ async function findObject(box = null, count = "") {
     }
     seen = part;
   }
-  const before = count ? `${count}: ` : "";
+  const after = (key, values = {}) => () => (count ? `${count()}: ` : "") + t(key, values);
   try {
     const { found } = await ask({ kind: "mask", picture: seen, width: w, height: h }, "found");
-    if (!found) {
-      const kept = box ? "the mask stays; paint it" : "draw a box, paint, or take the whole image";
-      say(`${before}no object stands out; ${kept}`, !count);
+    if (!found || (!box && isOnlyShine(small.images, n, found))) {
+      say(after(box ? "none_kept" : "none"), !count);
       return;
     }
     const full = resize(Float32Array.from(found), w, h, w * step, h * step);
@@ -146,10 +150,10 @@ async function findObject(box = null, count = "") {
       }
     }
     editor.replace(mask);
-    say(`${before}the object was found; what is dark is not the object`);
+    say(after("found"));
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
-    say(`${before}the object was not looked for: ${error.message}`, true);
+    say(() => after("not_looked_for", { error: t(error.key, error.values) })(), true);
   }
 }
 
@@ -180,14 +184,14 @@ async function estimate(known = null) {
   const step = most ? Math.max(1, Math.ceil(Math.max(first.width, first.height) / most)) : 1;
   const n = state.photographs.length;
   if ((n * first.width * first.height * 3) / step ** 2 > MOST_VALUES) {
-    say("expected less to compute than a browser has memory for; choose a smaller side", true);
+    refuse(new Refusal("too_much"));
     return;
   }
   const inside = leaveOut(state.mask.slice(), state.photographs, state.brightest);
   const given = linearImages(state.photographs, inside, transferOf(), step);
   const { mask, width, height, images } = given;
   if (!mask.some((value) => value)) {
-    say("expected a mask with something inside, got none; paint the object", true);
+    refuse(new Refusal("empty_mask"));
     return;
   }
   const began = performance.now();
@@ -202,7 +206,7 @@ async function estimate(known = null) {
         const share = data.done / data.total;
         const left = ((performance.now() - began) / 1000) * (1 / share - 1);
         $("progress").value = share;
-        say(`${Math.round(100 * share)} %, about ${Math.ceil(left)} s left`);
+        tell("progress", { percent: Math.round(100 * share), seconds: Math.ceil(left) });
       } else if (data.normals) showNormals(data.normals, mask, width, height, data.step);
       else if (data.partial) keep("running", { options, normals: data.partial });
     });
@@ -211,12 +215,12 @@ async function estimate(known = null) {
     state.result = { normals, mask, images, width, height, names, seconds };
     await forget("running");
     await keep("result", state.result);
-    say("making the surface...");
+    tell("stage_surface");
     await showResult();
-    say(`done in ${seconds.toFixed(1)} s (${threads} threads); drag to move the light`);
+    tell("done", { n: threads, threads, seconds: seconds.toFixed(1) });
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
-    say(error.message, true);
+    refuse(error);
   } finally {
     busy(false);
   }
@@ -224,8 +228,9 @@ async function estimate(known = null) {
 
 async function showResult() {
   const template = await (await fetch("./viewer.html")).text();
-  state.page = await viewerPage(template, state.result, "Surface");
-  $("viewer").srcdoc = state.page;
+  state.page = await viewerPage(template, state.result, t("surface"));
+  // Here in the page's language, saved in the one of whoever opens it.
+  $("viewer").srcdoc = state.page.replace('"language":null', `"language":"${current()}"`);
   $("result").hidden = false;
   $("result").scrollIntoView({ behavior: "smooth" });
 }
@@ -297,12 +302,12 @@ $("cancel").onclick = () => {
   worker = undefined;
   forget("running");
   busy(false);
-  say("stopped");
+  tell("stopped");
 };
 $("restart").onclick = async () => {
   $("cancel").onclick();
   await startOver();
-  say("");
+  say(() => "");
 };
 $("download").onclick = () => save("normals.png", normalsPng(), "image/png");
 $("save").onclick = () => save("surface.html", state.page, "text/html");
@@ -330,9 +335,16 @@ async function takeUp() {
     showNormals(result.normals, result.mask, result.width, result.height, 1);
     $("download").hidden = false;
     await showResult();
-    say("as it was left");
+    tell("as_left");
   }
 }
+
+function translate() {
+  $("status").textContent = status();
+  const tag = state.photographs[0]?.tag;
+  if (tag) $("auto").textContent = t(`auto_${tag}`);
+}
+offer($("language"), translate);
 
 // Threads need headers that few servers send: a service worker adds them, once.
 if (!crossOriginIsolated && "serviceWorker" in navigator && !sessionStorage.isolated) {

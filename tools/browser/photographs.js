@@ -1,12 +1,11 @@
 // Files to linear photographs and a mask, by the rules of unips_jax.io.
 import { decode } from "fast-png";
+import { Refusal } from "./text.js";
 
 const BLACK = 2; // levels of 255, see unips_jax/io/masks.py
 const NEARLY_BLACK = 32;
 const LEVELS_SHARE = 0.9;
 const LEVEL = 1 / 16;
-
-export class Refusal extends Error {}
 
 // A file's pixels: {name, width, height, channels (1 or 3), top, values, alpha, tag}.
 export async function readFile(file) {
@@ -25,7 +24,7 @@ function ofPng(name, bytes) {
   try {
     png = decode(bytes, { checkCrc: true });
   } catch (error) {
-    throw new Refusal(`${name}: expected a PNG that can be read, got: ${error.message}`);
+    throw new Refusal("png", { name, error: error.message });
   }
   const { width, height, channels: stored, depth, data } = png;
   const channels = stored > 2 ? 3 : 1;
@@ -89,11 +88,7 @@ async function decoded(file) {
       return await createImageBitmap(image, options);
     } catch {
       const heic = /\.hei[cf]$/i.test(file.name) || /hei[cf]/.test(file.type);
-      throw new Refusal(
-        `${file.name}: expected an image that this browser reads, got another file; ` +
-          (heic ? "open the page in Safari, or set the phone's camera to JPEG (Most Compatible)"
-            : "export it as PNG or JPEG"),
-      );
+      throw new Refusal(heic ? "heic" : "image", { name: file.name });
     } finally {
       URL.revokeObjectURL(image.src);
     }
@@ -104,29 +99,25 @@ export function requireAlike(files) {
   const [first] = files;
   for (const file of files) {
     if (file.width !== first.width || file.height !== first.height) {
-      throw new Refusal(
-        `${file.name}: expected ${first.width} x ${first.height} pixels as ` +
-          `${first.name}, got ${file.width} x ${file.height}; photographs of one ` +
-          "object must be taken by one camera that does not move",
-      );
+      throw new Refusal("size", differing(file, first));
     }
     if (file.top !== first.top) {
       const bits = (top) => (top === 255 ? 8 : 16);
-      throw new Refusal(
-        `${file.name}: expected ${bits(first.top)} bits as ${first.name}, got ` +
-          `${bits(file.top)}; export all photographs in the same way`,
-      );
+      const values = { name: file.name, first: first.name, bits: bits(first.top), got: bits(file.top) };
+      throw new Refusal("bits", values);
     }
   }
 }
 
-export function requireMaskFits({ name, width, height }, first) {
-  if (width === first.width && height === first.height) return;
-  throw new Refusal(
-    `${name}: expected a mask of ${first.width} x ${first.height} pixels as ` +
-      `${first.name}, got ${width} x ${height}`,
-  );
+export function requireMaskFits(mask, first) {
+  if (mask.width === first.width && mask.height === first.height) return;
+  throw new Refusal("mask_size", differing(mask, first));
 }
+
+const differing = (file, first) => ({
+  name: file.name, first: first.name,
+  size: `${first.width} x ${first.height}`, got: `${file.width} x ${file.height}`,
+});
 
 export const brightestOf = (file) => {
   const { values, channels } = file;

@@ -25,7 +25,7 @@ async function session(part) {
 }
 
 async function findMask({ picture, width, height }) {
-  postMessage({ stage: "looking for the object" });
+  postMessage({ stage: "mask" });
   const { ort, run } = await session("mask");
   const answers = [];
   for (const values of networkInputs(picture, width, height)) {
@@ -71,10 +71,10 @@ async function decodePart({ ort, run }, encoded, images, inside, n, width, size)
 
 // `known` are normals of an earlier run that was cut off: 0 where there are none.
 async function estimate({ images, mask, n, width, height, known }) {
-  postMessage({ stage: "loading the network" });
+  postMessage({ stage: "loading" });
   const encoder = await session("encoder");
   const decoder = await session("decoder");
-  postMessage({ stage: "encoding the photographs" });
+  postMessage({ stage: "encoding" });
   const began = performance.now();
   const encoded = await encoder.run.run({
     images: new encoder.ort.Tensor("float32", images, [n, height, width, 3]),
