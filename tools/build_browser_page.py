@@ -162,6 +162,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             format="onnx",
             name=Path(arguments.weights).stem,
             half=True,
+            decoder_views=1,
         )
         mask = resources.files("unips_jax") / "assets" / "salient_object.onnx"
         (place / "network" / "mask.onnx").write_bytes(mask.read_bytes())

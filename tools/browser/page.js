@@ -177,19 +177,25 @@ function showNormals(normals, mask, width, height, step) {
   $("normals").getContext("2d").putImageData(shown, 0, 0);
 }
 
+// How many pixels of a side are averaged to one, by the largest side that was chosen.
+function stepNow() {
+  const [{ width, height }] = state.photographs;
+  const most = Number($("side").value);
+  return most ? Math.max(1, Math.ceil(Math.max(width, height) / most)) : 1;
+}
+
+const toCompute = (inside) => linearImages(state.photographs, inside, transferOf(), stepNow());
+
 // `known`: normals of a run that was cut off.
 async function estimate(known = null) {
   const [first] = state.photographs;
-  const most = Number($("side").value);
-  const step = most ? Math.max(1, Math.ceil(Math.max(first.width, first.height) / most)) : 1;
   const n = state.photographs.length;
-  if ((n * first.width * first.height * 3) / step ** 2 > MOST_VALUES) {
+  if ((n * first.width * first.height * 3) / stepNow() ** 2 > MOST_VALUES) {
     refuse(new Refusal("too_much"));
     return;
   }
   const inside = leaveOut(state.mask.slice(), state.photographs, state.brightest);
-  const given = linearImages(state.photographs, inside, transferOf(), step);
-  const { mask, width, height, images } = given;
+  const { mask, width, height, images } = toCompute(inside);
   if (!mask.some((value) => value)) {
     refuse(new Refusal("empty_mask"));
     return;
@@ -213,10 +219,11 @@ async function estimate(known = null) {
     showNormals(normals, mask, width, height, 1);
     const names = state.photographs.map(({ name }) => name);
     state.result = { normals, mask, images, width, height, names, seconds };
-    await forget("running");
-    await keep("result", state.result);
     tell("stage_surface");
     await showResult();
+    // Files are kept: of these the photographs' light is read again.
+    const { images: _, ...result } = state.result;
+    keep("result", { ...result, options }).then(() => forget("running"));
     tell("done", { n: threads, threads, seconds: seconds.toFixed(1) });
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
@@ -331,7 +338,10 @@ async function takeUp() {
     $("transfer").value = running.options.transfer;
     estimate(running.normals);
   } else if (result) {
-    state.result = result;
+    $("side").value = result.options.side;
+    $("transfer").value = result.options.transfer;
+    const { images } = toCompute(leaveOut(state.mask.slice(), state.photographs, state.brightest));
+    state.result = { ...result, images };
     showNormals(result.normals, result.mask, result.width, result.height, 1);
     $("download").hidden = false;
     await showResult();

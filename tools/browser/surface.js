@@ -33,65 +33,87 @@ export function depthOf(normals, w, h) {
   return solve(normals, w, h, start);
 }
 
+// Only pixels that are there take part: an object fills a fraction of its picture.
 function solve(normals, w, h, start) {
-  const size = w * h;
-  const facing = (i) => Math.max(normals[3 * i + 2], 0.08);
-  const there = (i) => normals[3 * i] || normals[3 * i + 1] || normals[3 * i + 2];
-  // An edge leads from a pixel to its right (axis 0) or lower (axis 1) neighbour.
-  const weight = [new Float32Array(size), new Float32Array(size)];
-  const right = new Float32Array(size); // of the equations
-  const diagonal = new Float32Array(size);
-  const step = [1, w];
-  for (let i = 0; i < size; i++) {
-    if (!there(i)) continue;
+  const { places, joined, weight, right, diagonal } = equations(normals, w, h);
+  const size = places.length;
+  const depth = Float32Array.from(places, (i) => (start ? start[i] : 0));
+  const residual = right.slice();
+  const image = new Float32Array(size);
+  // What the equations make of values.
+  const apply = (v) => {
+    image.fill(0);
     for (const axis of [0, 1]) {
-      const j = i + step[axis];
-      if (j >= size || (axis === 0 && j % w === 0) || !there(j)) continue;
-      const slope = (k) => (axis === 0 ? normals[3 * k] : -normals[3 * k + 1]) / facing(k);
-      const value = (slope(i) + slope(j)) / 2;
-      const trust = Math.min(facing(i), facing(j)) ** 2;
-      weight[axis][i] = trust;
-      diagonal[i] += trust;
-      diagonal[j] += trust;
-      right[i] -= trust * value;
-      right[j] += trust * value;
-    }
-  }
-  const times = (v) => {
-    const out = new Float32Array(size);
-    for (const axis of [0, 1]) {
-      for (let i = 0; i + step[axis] < size; i++) {
-        const trust = weight[axis][i];
-        if (!trust) continue;
-        const flow = trust * (v[i] - v[i + step[axis]]);
-        out[i] += flow;
-        out[i + step[axis]] -= flow;
+      const [next, trust] = [joined[axis], weight[axis]];
+      for (let i = 0; i < size; i++) {
+        if (!trust[i]) continue;
+        const flow = trust[i] * (v[i] - v[next[i]]);
+        image[i] += flow;
+        image[next[i]] -= flow;
       }
     }
-    return out;
   };
-  const depth = start ?? new Float32Array(size);
-  const residual = times(depth).map((value, i) => right[i] - value);
-  const eased = () => residual.map((value, i) => (diagonal[i] ? value / diagonal[i] : 0));
-  const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
-  let z = eased();
-  let along = z.slice();
-  let power = dot(residual, z);
-  const enough = 1e-8 * dot(right, right.map((v, i) => (diagonal[i] ? v / diagonal[i] : 0)));
+  apply(depth);
+  for (let i = 0; i < size; i++) residual[i] -= image[i];
+  const ease = (from, to) => {
+    let sum = 0; // of products with what it was
+    for (let i = 0; i < size; i++) {
+      to[i] = diagonal[i] ? from[i] / diagonal[i] : 0;
+      sum += to[i] * from[i];
+    }
+    return sum;
+  };
+  const z = new Float32Array(size);
+  const enough = 1e-8 * ease(right, z);
+  let power = ease(residual, z);
+  const along = z.slice();
   for (let round = 0; round < ROUNDS && power > enough; round++) {
-    const image = times(along);
-    const length = power / (dot(along, image) || 1);
+    apply(along);
+    let across = 0;
+    for (let i = 0; i < size; i++) across += along[i] * image[i];
+    const length = power / (across || 1);
     for (let i = 0; i < size; i++) {
       depth[i] += length * along[i];
       residual[i] -= length * image[i];
     }
-    z = eased();
-    const next = dot(residual, z);
+    const next = ease(residual, z);
     const share = next / power;
     for (let i = 0; i < size; i++) along[i] = z[i] + share * along[i];
     power = next;
   }
-  return depth;
+  const all = start ?? new Float32Array(w * h);
+  depth.forEach((value, i) => { all[places[i]] = value; });
+  return all;
+}
+
+// Between each pixel and its right (0) and lower (1) neighbour: their numbers, how far
+// each is trusted, and by how much depth differs there.
+function equations(normals, w, h) {
+  const there = (i) => normals[3 * i] || normals[3 * i + 1] || normals[3 * i + 2];
+  const facing = (i) => Math.max(normals[3 * i + 2], 0.08);
+  const number = new Int32Array(w * h).fill(-1);
+  const places = [];
+  for (let i = 0; i < w * h; i++) if (there(i)) number[i] = places.push(i) - 1;
+  const of = (kind) => [0, 1].map(() => new kind(places.length));
+  const [joined, weight] = [of(Int32Array), of(Float32Array)];
+  const right = new Float32Array(places.length);
+  const diagonal = new Float32Array(places.length);
+  places.forEach((i, a) => {
+    for (const axis of [0, 1]) {
+      const j = i + (axis ? w : 1);
+      if (j >= w * h || (axis === 0 && j % w === 0) || number[j] < 0) continue;
+      const slope = (k) => (axis === 0 ? normals[3 * k] : -normals[3 * k + 1]) / facing(k);
+      const value = (slope(i) + slope(j)) / 2;
+      const trust = Math.min(facing(i), facing(j)) ** 2;
+      const b = number[j];
+      [joined[axis][a], weight[axis][a]] = [b, trust];
+      diagonal[a] += trust;
+      diagonal[b] += trust;
+      right[a] -= trust * value;
+      right[b] += trust * value;
+    }
+  });
+  return { places, joined, weight, right, diagonal };
 }
 
 // The part that is shown, means over `step` x `step` pixels of what is inside.

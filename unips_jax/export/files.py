@@ -59,12 +59,17 @@ def write_export(
     format: Format,
     name: str,
     half: bool = False,
+    decoder_views: int | None = None,
 ) -> dict[str, Any]:
     """Writes a network; all files appear, or none. Returns what `export.json` holds.
 
     What is written computes in float32. With `half`, parameters are rounded to half
     precision first; those that it holds exactly, as the shipped ones, are stored so in
     any case. `name`, of the weights, is for the record.
+
+    `decoder_views`: how many views ONNX's decoder takes; all that the encoder gives if
+    None. Of one, the caller turns the mirrored view: columns count from the right, and
+    x of the normals changes its sign.
     """
     config = dataclasses.replace(network.config, dtype="float32", remat=False)
     network = dataclasses.replace(network, config=config)
@@ -76,6 +81,7 @@ def write_export(
         "version": VERSION,
         "weights": {"name": name, "hash": weights_hash(network)},
         "config": json.loads(to_json(config)),
+        **({} if decoder_views is None else {"decoder_views": decoder_views}),
         **_versions(),
     }
     write = write_onnx if format == "onnx" else write_stablehlo
@@ -96,7 +102,7 @@ def write_onnx(folder: Path, network: UniversalNetwork, record: dict[str, Any]) 
     except ImportError as error:
         raise _missing("onnx", error) from error
     for name in ("encoder", "decoder"):
-        shapes = _shapes(network.config)
+        shapes = _shapes(network.config, record.get("decoder_views"))
         arguments = {key: shapes[key] for key in _INPUTS[name]}
         traced = jax.make_jaxpr(_FUNCTIONS[name])(network, *arguments.values())
         graph = Graph()
@@ -141,11 +147,11 @@ def write_stablehlo(
     write_whole(folder / "estimate.stablehlo", data, sync=False)
 
 
-def _shapes(config: ModelConfig) -> dict[str, Any]:
+def _shapes(config: ModelConfig, views: int | None = None) -> dict[str, Any]:
     """Shapes and types of the functions' inputs, by their names."""
     scope = export.SymbolicScope([f"N <= {MAX_IMAGES}"])
     n, height, width, count = export.symbolic_shape("N, H, W, P", scope=scope)
-    views, side = 2 if config.mirror else 1, config.context_size
+    views, side = views or (2 if config.mirror else 1), config.context_size
     shape = jax.ShapeDtypeStruct
     contexts = (views, side, side, n, config.context_dim)
     return {
