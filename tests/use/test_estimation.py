@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_networks import (
+    SHALLOW,
     SHALLOW_OURS,
     SMALL,
     SMALL_OURS,
@@ -30,7 +31,7 @@ from unips_jax.models.views import Views, canonical_images, square_frame
 
 @pytest.fixture(scope="module")
 def network():
-    return lively_network()
+    return lively_network(SHALLOW)
 
 
 def photographs(n=3, height=23, width=31):
@@ -76,9 +77,10 @@ def test_chunked_equals_whole(network, monkeypatch):
 
 @pytest.mark.parametrize("communication", ["none", "during", "pre", "post", "ours"])
 def test_encoding_in_pieces_is_the_encoder(monkeypatch, communication):
-    config = SMALL_OURS
-    if communication != "ours":
-        config = dataclasses.replace(SMALL, communication=communication)
+    config = SHALLOW_OURS
+    if communication != "ours":  # "during" is between stages
+        config = SMALL if communication == "during" else SHALLOW
+        config = dataclasses.replace(config, communication=communication)
     network = lively_network(config)
     images = jax.random.uniform(jax.random.key(1), (2, 5, 16, 16, 4))
     valid = jnp.array([True, True, False, True, True])
@@ -215,7 +217,7 @@ def test_gradients_agree_with_finite_differences(network):
     with jax.enable_x64(True):
         network = jax.tree.map(
             lambda x: np.asarray(x, np.float64),
-            dataclasses.replace(network, config=with_dtype(SMALL, "float64")),
+            dataclasses.replace(network, config=with_dtype(network.config, "float64")),
         )
         images, mask = photographs()
         images = np.asarray(images, np.float64)
@@ -449,10 +451,10 @@ import numpy as np
 jax.config.update("jax_num_cpu_devices", 2)
 sys.path.insert(0, sys.argv[1])
 from jax.sharding import AxisType, NamedSharding, PartitionSpec as P
-from small_networks import lively_network
+from small_networks import SHALLOW, lively_network
 from unips_jax import estimate_normals
 
-network, mask = lively_network(), jnp.ones((16, 16), bool)
+network, mask = lively_network(SHALLOW), jnp.ones((16, 16), bool)
 images = jax.random.uniform(jax.random.key(0), (4, 16, 16, 3))
 expected = estimate_normals(network, images, mask)
 for kind in (AxisType.Auto, AxisType.Explicit):
