@@ -200,7 +200,7 @@ async function estimate(known = null) {
     refuse(new Refusal("empty_mask"));
     return;
   }
-  const began = performance.now();
+  let from = null; // when pixels began, and the share that was done
   const options = { side: $("side").value, transfer: $("transfer").value };
   const right = known?.length === width * height * 3 ? known : null;
   await keep("running", { options, normals: right });
@@ -210,9 +210,12 @@ async function estimate(known = null) {
     const { normals, seconds, threads } = await ask(message, "normals", (data) => {
       if (data.total) {
         const share = data.done / data.total;
-        const left = ((performance.now() - began) / 1000) * (1 / share - 1);
+        const percent = Math.round(100 * share);
         $("progress").value = share;
-        tell("progress", { percent: Math.round(100 * share), seconds: Math.ceil(left) });
+        from ??= [performance.now(), share]; // what came before says nothing of the rest
+        const speed = (share - from[1]) / (performance.now() - from[0]);
+        if (share - from[1] < 0.03) tell("percent", { percent });
+        else tell("progress", { percent, seconds: Math.ceil((1 - share) / speed / 1000) });
       } else if (data.normals) showNormals(data.normals, mask, width, height, data.step);
       else if (data.partial) keep("running", { options, normals: data.partial });
     });
