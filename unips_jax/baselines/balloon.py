@@ -1,7 +1,7 @@
 """The balloon: the surface of least area over a mask that holds a given volume.
 
 The start of the variational method, and a floor for every table: what the silhouette
-alone tells. Heights are in pixels, positive towards the viewer, zero on the mask's
+alone shows. Heights are in pixels, positive towards the viewer, zero on the mask's
 boundary.
 
 Source: Oswald et al. / Haefner et al., "Variational uncalibrated photometric stereo

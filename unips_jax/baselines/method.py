@@ -36,7 +36,7 @@ class Estimated(NamedTuple):
 
 
 class Unsupported(InputError):
-    """The method cannot work on this input; one line says what it lacks."""
+    """The method cannot work on this input; one line names what it lacks."""
 
 
 Method = Callable[[Observed], np.ndarray | Estimated]
@@ -44,7 +44,7 @@ Method = Callable[[Observed], np.ndarray | Estimated]
 
 Returns:
     Normals `[H, W, 3]`, float32: unit length inside the mask (x right, y up, z to the
-    viewer), zero outside; as `Estimated` where the method has figures to tell. Methods
+    viewer), zero outside; as `Estimated` where the method has figures too. Methods
     that need no lights ignore them, or measure their own estimate by them.
 
 Raises:

@@ -1,4 +1,4 @@
-"""What a mask and a field over it tell of a surface: silhouette, slopes, sign.
+"""What a mask and a field over it show of a surface: silhouette, slopes, sign.
 
 All in the product's frame: x right, y up (against the image rows), z to the viewer.
 NumPy, float64: small next to the factorisations it serves.

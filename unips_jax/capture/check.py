@@ -15,7 +15,7 @@ from unips_jax.capture.shading import sums_of_parts
 from unips_jax.io.masks import mask_box
 from unips_jax.io.photographs import Capture
 
-_UNTAGGED = "8-bit values"  # the rule of `io.color` where no tag says
+_UNTAGGED = "8-bit values"  # the rule of `io.color` where there is no tag
 _FOCUS_SIDE = 1024
 _BLURRED = 0.6  # of the median of fine detail over coarse
 _BLURRED_PARTS = 0.85  # likewise, in three quarters of the picture's parts

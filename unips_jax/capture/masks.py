@@ -1,8 +1,8 @@
 """Where the object is: a mask suggested from photographs, and pieces of it by a click.
 
-Where the background is plain enough to be sure, its difference tells
+Where the background is plain enough to be sure, its difference decides
 (`capture/background.py`), and where that is less than certain the network must agree;
-else a network for salient objects tells (`capture/salient.py`). What only shines in the
+else a network for salient objects does (`capture/salient.py`). What only shines in the
 dark is no object (`capture/shine.py`).
 """
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from unips_jax.io.color import Transfer, as_linear
 
-_FEW = 4  # photographs: of fewer it cannot be said
+_FEW = 4  # photographs: of fewer it is uncertain
 _SAMPLES = 4000  # pixels
 _DARK = 0.1  # of the brightest: a backdrop on which something may be hidden
 _MEAN, _MEDIAN = 0.27, 0.05  # over the photographs, of the brightest

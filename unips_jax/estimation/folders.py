@@ -70,7 +70,7 @@ class NamedNetwork:
 
 
 def load_network(source: str = "tiny") -> NamedNetwork:
-    """`load_weights`, with what the record says of them."""
+    """`load_weights`, with what the record holds of them."""
     from unips_jax.weights import load_weights
 
     return _named(load_weights(source), source, trained=True)

@@ -53,7 +53,7 @@ def estimate_normals(
         valid: `[N]`, bool: images that count, so that sets can be padded; None: all.
             Where none counts, normals are zero.
         lights: `[N, 3]`, the lights that are known, towards each lamp (x right, y up, z
-            towards the viewer). Lengths say how well: 1 exactly, else the cosine of the
+            towards the viewer). Lengths are how well: 1 exactly, else the cosine of the
             error to expect, 0 not at all. For networks with `known_lights` only.
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
         uniform_contexts: an ablation, see `with_uniform_contexts`.

@@ -16,7 +16,7 @@ _TURNS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int]]] = {
     "x and y": ((-1, -1, 1), (0, 1, 2)),
     "channels": ((1, 1, 1), (2, 1, 0)),
 }
-# What each would mean, and the options of `files:DIR` that say so.
+# What each would mean, and the options of `files:DIR` for it.
 _MEANINGS = {
     "x": ("x points to the left", "x=left"),
     "y": ("y points down", "y=down"),

@@ -10,7 +10,7 @@ Kind = Literal["own", "published", "mean", "folded"]
 class Cell(NamedTuple):
     """A value, and what the report shows with it."""
 
-    value: Value  # None where there is nothing to say
+    value: Value  # None where there is nothing
     best: bool = False  # whether to set it in bold
     note: str = ""  # why there is no number
     method: str = ""  # the label of the method that it names; its colour marks it

@@ -4,12 +4,12 @@ A method is asked for as `name` or `name:option=value,option=value`, such as
 `least-squares:keep=(0.2,0.8)`. GCNet takes PS-FCN's weights, or the name of a
 calibrated baseline, for the normals: `gcnet:weights=GCNET,normals=PS_FCN`.
 `unips:fast=true` decodes as `--fast` does; `unips:lights=true` is given the lights of
-benchmarks that know them, `unips:lights=20` with errors of 20 degrees. Of any
-method `sign=oracle` takes the signs of x, y and z that the truth likes best, as
-publications do where convex and concave look the same; a dagger marks its results.
-`files:DIR` are normals that another program made (`normal_files`),
-`python:module:factory` a method in a module of the user's (`foreign`). Modules are
-imported when a method of theirs is asked for.
+benchmarks that know them, `unips:lights=20` with errors of 20 degrees. Of any method
+`sign=oracle` takes the signs of x, y and z that the truth likes best, as publications
+do where convex and concave look the same; a dagger marks its results. `files:DIR` are
+normals that another program made (`normal_files`), `python:module:factory` a method in
+a module of the user's (`foreign`). Modules are imported when a method of theirs is
+asked for.
 """
 
 import dataclasses
@@ -105,7 +105,7 @@ def _baseline(request: str, name: str, options: dict[str, Any]) -> Variant:
         raise InputError(f"method {name!r} is not in this version") from error
     method = built(request, factory, options)
     key["method_code"] = code_hash(f"baselines.{baseline.module}")
-    # Two readings of one paper: every row says which.
+    # Two readings of one paper: every row names its own.
     defaults = inspect.signature(factory).parameters
     for option in [name for name in ("norm", "per") if name in defaults]:
         label_options.setdefault(option, defaults[option].default)

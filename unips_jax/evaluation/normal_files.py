@@ -2,13 +2,13 @@
 
 An object's normals are looked for as `DIR/NAME.*`, in `DIR/NAME/`, `DIR/NAME.data/` and
 `DIR/NAMEPNG/` (a file with `normal` or `nml` in its name), NAME being the object's in
-the tables, with `_` in place of `/`; or where `file=` says, as in
+the tables, with `_` in place of `/`; or where `file=` puts it, as in
 `file=results/{object}.data/normal.png`. Where a run has several subsets of images, DIR
 holds a folder for each, named as in `OUT/inputs`: `8-seed-0`, `all`.
 
 They are `.npy` or `.mat` arrays `[H, W, 3]`, float EXR or TIFF images, all holding n,
 or PNG or TIFF images of integers holding (n + 1) / 2: x right, y up, z towards the
-viewer, unit length. `x=left`, `y=down`, `z=away` and `channels=bgr` say what is
+viewer, unit length. `x=left`, `y=down`, `z=away` and `channels=bgr` state what is
 otherwise. Their size is that of the photographs, or what the protocol showed.
 """
 
@@ -191,7 +191,7 @@ def _named(base: Path, name: str) -> Iterator[Path]:
 
 
 def _speaks(path: Path) -> bool:
-    """Whether a file's name says that it holds estimated normals."""
+    """Whether a file, by its name, holds estimated normals."""
     stem = path.stem.lower()
     return (
         path.suffix.lower() in _SUFFIXES
@@ -218,7 +218,7 @@ def _best(place: Path, found: Iterator[Path]) -> Path | None:
 
 
 def _check_lengths(path: Path, inside: np.ndarray) -> None:
-    """Refuses what is no normals, and says what it looks like."""
+    """Refuses what is no normals, and names what it looks like."""
     known = inside[np.isfinite(inside).all(-1) & inside.any(-1)].astype(float)
     if not len(known):
         raise InputError(f"{path}: expected normals on the object, found only zeros")

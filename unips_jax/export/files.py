@@ -2,7 +2,7 @@
 
 ONNX: `encoder.onnx` and `decoder.onnx`, for onnxruntime in any language and in
 browsers. StableHLO: `estimate.stablehlo`, one function of photographs and mask that
-`jax.export.deserialize` reads. `export.json` says what is in them. Parameters are
+`jax.export.deserialize` reads. `export.json` lists what is in them. Parameters are
 inside. See docs/export.md.
 """
 

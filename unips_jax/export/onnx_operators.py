@@ -1,8 +1,8 @@
 """The ONNX operators of JAX's primitives: those the networks are made of.
 
 Each function adds the nodes of one equation to a graph and returns its values. Shapes
-are those that the equation says, but for operators on elements, which may leave out
-what ONNX broadcasts.
+are those of the equation, but for operators on elements, which may leave out what ONNX
+broadcasts.
 """
 
 import functools

@@ -96,7 +96,7 @@ def encoding_of(
     Args:
         code: a key of `CURVES`; 0 where unknown.
         gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unknown.
-        srgb: whether another tag says sRGB.
+        srgb: whether another tag is sRGB's.
     """
     curve = icc_curve(icc)
     if curve is not None:

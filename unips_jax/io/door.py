@@ -6,7 +6,7 @@ complete, so that no reader ever sees a part of it and a full disk or a killed p
 leaves what was there before. What the file system refuses becomes `NotWritten`.
 
 Libraries write into an open file (`new_file`), or under the temporary name where they
-insist on one (`new_path`): their own errors rarely say what the system said.
+insist on one (`new_path`): their own errors rarely hold the system's reason.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ class NotWritten(InputError):
 
 
 def reason_why(cause: Exception) -> str:
-    """What the file system said, without the file's name."""
+    """The file system's reason, without the file's name."""
     own = getattr(cause, "reason", None) or getattr(cause, "strerror", None)
     return own or str(cause)
 
@@ -90,7 +90,7 @@ def new_file(path: Path, *, sync: bool = False) -> Iterator[BinaryIO]:
         path: the file; its folder is made if it is not there.
         sync: it is on the disk when it appears, even if the power fails.
     """
-    # Readable too: NumPy then writes by the file's own methods, whose errors say why.
+    # Readable too: NumPy then writes by methods whose errors have the reason.
     with new_path(path, suffix="") as part, part.open("w+b") as file:
         yield file
         file.flush()

@@ -1,10 +1,10 @@
-"""Reads and writes one image file, or says in one line why it cannot.
+"""Reads and writes one image file; errors are one line.
 
 Pixels come back as they are stored: no scaling, no transfer function, no alpha divided
 out. The EXIF orientation is applied, for photographs, masks and maps alike, so that
 pixels are where every viewer shows them: a mask drawn over the displayed photograph
-fits. A file is opened once; what its header says of its size is believed only after a
-look at `MAX_PIXELS`. Which formats: see `io.formats`.
+fits. A file is opened once; the size in its header is believed only after a look at
+`MAX_PIXELS`. Which formats: see `io.formats`.
 """
 
 import dataclasses
@@ -41,7 +41,7 @@ class ImageFile:
     alpha: np.ndarray | None  # `[H, W]`, of the same type; None where there is none
     orientation: int  # by EXIF, 1 (upright) to 8, applied already
     focal: float | None  # focal length in pixels, by EXIF; None where unknown
-    header: Encoded  # what else the file says
+    header: Encoded  # what else the file holds
 
     @property
     def encoding(self) -> Encoding:
@@ -112,7 +112,7 @@ def decode_image(
 
 
 def image_header(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -> Encoded:
-    """What an image file's header says; pixels are not decoded."""
+    """An image file's header; pixels are not decoded."""
     return _header(data, path, False, max_pixels)
 
 
@@ -161,7 +161,7 @@ def write_exr(
     if comments:
         header["comments"] = comments
     pixels = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
-    data = io.BytesIO()  # OpenEXR's own errors do not tell what the file system said
+    data = io.BytesIO()  # OpenEXR's own errors lack the file system's reason
     OpenEXR.File(header, pixels).write(data)
     write_whole(path, data.getbuffer(), sync=False)
 

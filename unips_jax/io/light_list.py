@@ -27,7 +27,7 @@ _MARKS = (
 _TAIL = r"(?:[eE][-+]?\d+)?"
 _COMMA = re.compile(rf"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+){_TAIL}")
 _POINT = re.compile(rf"[-+]?(?:\d+\.?\d*|\.\d+){_TAIL}")
-_STYLES = (  # with commas between numbers, those in numbers need blanks besides
+_STYLES = (  # with commas between numbers, those in numbers need blanks too
     (re.compile(r"\s*;\s*|,?\s+"), _COMMA),
     (re.compile(r"\s*[,;]\s*"), _POINT),
 )
@@ -35,7 +35,7 @@ _STYLES = (  # with commas between numbers, those in numbers need blanks besides
 
 @dataclasses.dataclass(frozen=True)
 class LightList:
-    """What a list of lights says.
+    """What a list of lights holds.
 
     `names` are without folders; `lights` `[N, 3]`, directions, or `[N, 2]`, pixels, as
     written; `problems` what could not be used, a line each.

@@ -1,4 +1,4 @@
-"""What suffixes say about a folder's files."""
+"""What suffixes show of a folder's files."""
 
 import importlib.util
 from pathlib import Path

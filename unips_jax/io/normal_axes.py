@@ -2,7 +2,7 @@
 
 A surface's slopes, p to the right and q upwards, obey dp/dy = dq/dx. The correlation of
 the two is +0.44 to +0.79 on maps by others, the negative where one axis is the other
-way, and near 0 on surfaces made of steps or leaves: then nothing is said. Along an
+way, and near 0 on surfaces made of steps or leaves: then nothing is reported. Along an
 outline normals point outwards, unless what they show is hollow.
 """
 
@@ -14,7 +14,7 @@ from unips_jax.io.normal_values import LEAST, OVERRULE
 from unips_jax.io.normals import NormalMap
 
 SURE = 0.2  # correlation that decides
-_STEEP = 0.2  # z: slopes above 5 tell little
+_STEEP = 0.2  # z: slopes above 5 show little
 
 # What a convention is where green, or red, is the other way.
 _OTHERS: dict[NormalMap, tuple[NormalMap, ...]] = {

@@ -93,7 +93,7 @@ def is_normal_map(path: Path) -> bool:
     try:
         with tifffile.TiffFile(path) as tiff:
             tiff.pages.get(1)
-    except Exception:  # no second page, or damaged: reading tells
+    except Exception:  # no second page, or damaged: reading finds out
         return True
     return False
 

@@ -39,7 +39,7 @@ def require_orientation(file: ImageFile, first: ImageFile) -> None:
 
 
 def as_oriented(file: ImageFile, orientation: int) -> ImageFile:
-    """The same file, turned as if EXIF had said so: from 1 (as stored) to 8."""
+    """The same file, turned as if EXIF had asked for it: from 1 (as stored) to 8."""
 
     def again(image: np.ndarray) -> np.ndarray:
         return turned(_turned_back(image, file.orientation), orientation)

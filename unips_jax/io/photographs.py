@@ -43,7 +43,7 @@ class Photographs(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Capture:
-    """Photographs of one object, read, and what their files say."""
+    """Photographs of one object, read, and what else their files hold."""
 
     # as in `Photographs`. Negative floats, which resampling leaves in renderings, are
     # 0, as are values outside the mask that are not finite.
@@ -95,7 +95,7 @@ def read_capture(
     """Does what `read_photographs` does, opens each file once and reports more.
 
     Args:
-        transfer: how the values encode light, in place of what the files say.
+        transfer: how the values encode light, in place of the files' own rule.
         mask: `[H, W]`, bool, to be taken as it is, in place of the selection's.
         max_pixels: of a file; all photographs together may have ten times as many.
         read: reads a photograph, or the mask, in place of `read_image_file`.
@@ -157,7 +157,7 @@ class _Stack:
         self._size = 0
 
     def add(self, file: ImageFile) -> None:
-        """Takes one photograph, or says why it does not fit."""
+        """Takes one photograph, or refuses one that does not fit."""
         if file.orientation != self.first.orientation:
             file = oriented_as(file, self.first, self.images[0])
             self.turned.append(file.path.name)

@@ -46,7 +46,7 @@ def photographs_of(folder: Path, prefixes: str) -> list[Path]:
 
 
 def focal_facts(focal_mm: float | None, size: int) -> dict[str, float | None]:
-    """What `meta.json` says of the camera; `focal_mm` None or 0: orthographic."""
+    """What `meta.json` holds of the camera; `focal_mm` None or 0: orthographic."""
     if not focal_mm:
         return {"focal_mm": None}
     return {"focal_mm": focal_mm, "focal": focal_mm / FRAME_MM * size}

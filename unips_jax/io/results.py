@@ -31,7 +31,7 @@ _RESULTS = frozenset(
     + [RECORD]
 )
 _EDITABLE = frozenset(["view.html"])  # readers save their notes into it
-# Names that say nothing of the results': those may be as long as names can be.
+# Names apart from the results': those may be as long as names can be.
 _WORK = ".unips-"
 _BEFORE = "before-"
 

@@ -27,7 +27,7 @@ _ROUNDS = 8
 _STRIP = 2**20  # pixels of all photographs together
 _DIRECTION_ROUNDS = 60
 _USUAL = 0.5  # irradiance, where what faces the light has about 1
-_FADE = 0.08  # irradiance: what is darker says little
+_FADE = 0.08  # irradiance: what is darker shows little
 _FAINT = 0.3  # pull of albedos to the typical one: as of one photograph, half lit
 _CUT = 2.0  # deviations, above which residuals lose their weight
 _AMBIENT = 0.3  # of the squared albedos: pull of the surroundings to their prior
@@ -175,7 +175,7 @@ def _quotient(
     above, below = (weight * light * pixels).sum(0), (weight * light * light).sum(0)
     if typical is None:
         typical = np.median(above / np.maximum(below, 1e-12), axis=0)
-    # A pull to the typical albedo decides where photographs say little.
+    # A pull to the typical albedo decides where photographs show little.
     faint = _FAINT * _USUAL**2
     return np.maximum((above + faint * typical) / (below + faint), 1e-4 * typical)
 

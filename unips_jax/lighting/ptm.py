@@ -148,7 +148,7 @@ def write_ptm(path: Path, fit: TextureMap) -> dict[str, float]:
     height, width = fit.mask.shape
     low, high = fit.levels()
     low, high = low.min(0) * 255, high.max(0) * 255
-    # As the header says them.
+    # As the header holds them.
     scale = np.array([float(f"{x:.8g}") for x in np.maximum(high - low, 1e-3) / 255])
     bias = np.rint(-low / scale).astype(int)
     stored = np.zeros((3, height, width, 6), np.uint8)

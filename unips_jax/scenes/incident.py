@@ -1,6 +1,6 @@
 """What is known of the light that reaches an object: targets for a network's guesses.
 
-Of scenes everything is known; of a PS-Wild folder what its `meta.json` says.
+Of scenes everything is known; of a PS-Wild folder what its `meta.json` holds.
 """
 
 import math

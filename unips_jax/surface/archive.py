@@ -1,4 +1,4 @@
-"""All results in one file, with names that say whose they are, and a text on each."""
+"""All results in one file, with names that hold the object's, and a text on each."""
 
 import io
 import zipfile

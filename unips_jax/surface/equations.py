@@ -13,8 +13,8 @@ down,
 
     m d_u = n_x,    m d_v = -n_y,    m = n_z - n_x (u - c_u) / f + n_y (v - c_v) / f,
 
-(m = n_z without perspective). Each pixel states them for the difference to either
-side, and a weight chooses between the sides: in u
+(m = n_z without perspective). Each pixel states them for the difference to either side,
+and a weight chooses between the sides: in u
 
     E = sum w (m (d_right - d) - n_x)^2 + (1 - w) (m (d - d_left) - n_x)^2,
     w = sigmoid(k (m (d - d_left))^2 - k (m (d_right - d))^2),
@@ -26,7 +26,7 @@ Source: Cao, Santo, Shi, Okura, Matsushita, "Bilateral Normal Integration" (ECCV
 Secs. 3-5. A side without a neighbour counts as one without difference. Departure: an
 edge asks for the difference that the mean of its two normals has, which is exact on
 spheres; the least squares of the two pixels' statements makes silhouettes too flat (on
-a hemisphere of 512 pixels, by up to 0.02 of the radius). So the weights say how much an
+a hemisphere of 512 pixels, by up to 0.02 of the radius). So the weights are how much an
 edge counts, not which of its ends it believes.
 """
 

@@ -55,12 +55,12 @@ def integrate_normals(
     sharpness: jax.Array | float = SHARPNESS,
     rounds: int = 20,
 ) -> jax.Array:
-    """Depth whose surface has these normals; breaks where they say that it breaks.
+    """Depth whose surface has these normals; breaks where they do not fit together.
 
     A pure function for `jit`, `vmap` and `grad`: derivatives go through every round's
     linear solve by the implicit function theorem, so that memory is one image a round.
     Each part of the mask that is connected by pixels' edges has its own offset (with
-    perspective: scale), which normals do not tell.
+    perspective: scale), which normals leave open.
 
     Args:
         normals: `[H, W, 3]`, x right, y up, z towards the viewer, row 0 at the top.

@@ -1,4 +1,4 @@
-"""From normals to a folder's files of depth and mesh, and what the record says."""
+"""From normals to a folder's files of depth and mesh, and what the record holds."""
 
 import dataclasses
 import math

@@ -1,9 +1,9 @@
 """Parameters of GCNet, PS-FCN and LCNet: the authors' arrays, and files of our own.
 
-The authors' checkpoints are dictionaries with one entry `state_dict`; read one
-without executing it (`torch.load(path, weights_only=True)`), turn its tensors into
-NumPy arrays and pass them to `from_official`. The released weights are not licensed
-for redistribution: convert them on your own machine.
+The authors' checkpoints are dictionaries with one entry `state_dict`; read one without
+executing it (`torch.load(path, weights_only=True)`), turn its tensors into NumPy arrays
+and pass them to `from_official`. The released weights are not licensed for
+redistribution: convert them on your own machine.
 
     GCNet.pth              "gcnet"   91 entries
     PS-FCN_B_S_32.pth      "ps_fcn"  19 entries
@@ -59,7 +59,7 @@ def from_official(
 ) -> dict[str, Any]:
     """The network's parameters, of the authors' arrays; every one is used exactly once.
 
-    A prefix `module.` of names is ignored; without `network` the names tell which it
+    A prefix `module.` of names is ignored; without `network` the names show which it
     is. `InputError` names every missing, unexpected and misshapen array.
     """
     network = identify(arrays) if network is None else network

@@ -32,7 +32,7 @@ class Entry:
 
 
 class Truth(NamedTuple):
-    """What is known about an object besides its photographs."""
+    """What is known about an object, apart from its photographs."""
 
     mask: np.ndarray  # `[H, W]`, bool
     # `[H, W, 3]`, float32, as published (zero where unknown); None where the truth is
@@ -143,7 +143,7 @@ class Benchmark(abc.ABC):
     ) -> tuple[np.ndarray, float | None, tuple[str, ...]]:
         """Reads an object's photographs.
 
-        Returns `Item`'s images, the focal length where the photographs tell it, and
+        Returns `Item`'s images, the focal length where the photographs hold it, and
         notes.
         """
         stack: np.ndarray | None = None

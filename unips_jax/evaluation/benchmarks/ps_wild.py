@@ -3,9 +3,9 @@
 A folder `X.data/` holds linear RGB photographs and `normal.tif`, 16 bit,
 n = 2 v / 65535 - 1 (x right, y up, z to the viewer). Pixels of the object are those
 where | 1 - |n| | < 1e-3; a `mask.png`, where there is one, narrows them. The sets that
-`unips render` writes have the same layout, with a `meta.json` besides.
+`unips render` writes have the same layout, with a `meta.json` too.
 
-The public description does not say how PS-Wild-Test's three lightings lie on disk.
+The public description leaves open how PS-Wild-Test's three lightings lie on disk.
 Every `*.data` folder at most three levels below the root is taken; the folder above it
 names its lighting (`directional`; `environment`, `hdri`, `env`; `mixed`,
 `directional_hdri`, ...), and an object without such a folder has none.
@@ -93,7 +93,7 @@ class PSWildTest(Benchmark):
         return Entry(name, photographs, (folder / NORMALS, *extras), tags)
 
     def truth(self, entry: Entry) -> Truth:
-        """Reads the true normals and what `meta.json` says of lights and camera."""
+        """Reads the true normals and what `meta.json` holds of lights and camera."""
         path = entry.files[0]
         normals = read_normals(path)
         mask = has_unit_length(normals)

@@ -1,4 +1,4 @@
-"""Image formats: what a file's header says, and then its pixels.
+"""Image formats: a file's header, and then its pixels.
 
 A format is known by content, never by name. Each has one reader for all its variants:
 TIFF tifffile; EXR OpenEXR; JPEG libjpeg-turbo by simplejpeg, which gives a decoder's

@@ -30,12 +30,12 @@ class NotRead(Exception):  # noqa: N818
 
 
 class Damaged(Exception):  # noqa: N818
-    """A file that is cut short or changed; the text says how it shows."""
+    """A file that is cut short or changed; the text is how it shows."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Encoded:
-    """What a file's header says, before its pixels are decoded."""
+    """A file's header, before its pixels are decoded."""
 
     format: str
     height: int  # rows, as stored
@@ -53,7 +53,7 @@ class Encoded:
     code: int = 0  # of the transfer function, a key of `color.CURVES`; 0 where unknown
     # exponent by which values encode light, such as 1 / 2.2; 0 where unknown
     gamma: float = 0
-    srgb: bool = False  # whether a tag other than the profile says sRGB
+    srgb: bool = False  # whether a tag other than the profile is sRGB's
     camera: str = ""  # its maker and model; empty where unknown
     # seconds times ISO speed over the squared f-number; 0 where unknown
     exposure: float = 0
@@ -135,7 +135,7 @@ def box_transfer_code(boxes: bytes) -> int:
 
 
 def known_code(code: int, kind: str) -> int:
-    """The code, 0 where it says nothing; `NotRead` if nobody knows what it means."""
+    """The code, 0 where it is unspecified; `NotRead` if its meaning is unknown."""
     if code not in CURVES and code not in _UNSPECIFIED:
         raise NotRead(f"{kind} of the unknown transfer code {code}")
     return code if code in CURVES else 0

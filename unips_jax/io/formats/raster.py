@@ -135,7 +135,7 @@ def open_png(data: bytes) -> Encoded:
 
 
 def _png_colours(chunks: dict[bytes, bytes]) -> dict[str, Any]:
-    """Fields of `Encoded`: what the first of cICP, iCCP, sRGB and gAMA says."""
+    """Fields of `Encoded` by the first of cICP, iCCP, sRGB and gAMA."""
     if code := known_code(chunks.get(b"cICP", b"").ljust(2, b"\0")[1], "a PNG"):
         return {"code": code}
     if icc := _unpacked_profile(chunks.get(b"iCCP", b"")):

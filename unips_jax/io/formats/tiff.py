@@ -153,7 +153,7 @@ def raw_kind(data: bytes) -> str:
         tiff = tifffile.TiffFile(io.BytesIO(data))
         page = tiff.pages.first
         tags = page.tags
-    except Exception:  # `open_tiff` says what is wrong
+    except Exception:  # `open_tiff` finds what is wrong
         return ""
     if _DNG_VERSION in tags:
         return "a camera's raw file (DNG)"
