@@ -1,10 +1,10 @@
 """Two ways to settle the generalised bas-relief ambiguity.
 
-A factorised, integrable field `b0` (albedo times normal, as row vectors) is known up
-to `b = b0 G` with `G = [[1, 0, 0], [0, 1, 0], [mu, nu, lam]]`; lights then are
+A factorised, integrable field `b0` (albedo times normal, as row vectors) is known up to
+`b = b0 G` with `G = [[1, 0, 0], [0, 1, 0], [mu, nu, lam]]`; lights then are
 `l = G^-1 l0` (Belhumeur, Kriegman and Yuille, 1999). The sign of `lam` stays with the
-silhouette. Sources: minimum entropy of the albedos (Alldrin, Mallick and Kriegman,
-CVPR 2007); diffuse maxima (Favaro and Papadhimitri, CVPR 2012).
+silhouette. Sources: minimum entropy of the albedos (Alldrin, Mallick and Kriegman, CVPR
+2007); diffuse maxima (Favaro and Papadhimitri, CVPR 2012).
 """
 
 from collections.abc import Iterator
@@ -137,8 +137,8 @@ def diffuse_maxima(
 def flat_albedo(images: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Albedo of a surface painted in flat colours; smooth texture is missed.
 
-    Between neighbours of like intensity profile (like normals) in the grey images `[N,
-    H, W]`, a jump of the profile's length is one of the albedo. The jumps are
+    Between neighbours of like intensity profile (like normals) in the grey images
+    `[N, H, W]`, a jump of the profile's length is one of the albedo. The jumps are
     integrated. Returns `[H, W]`, positive, median 1 in the mask; 1 outside.
     """
     profile = images[:, mask].T  # [P, N]

@@ -31,8 +31,8 @@ def derivatives(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def silhouette(mask: np.ndarray, *, name: str) -> tuple[np.ndarray, np.ndarray]:
     """The object's outline and its outward directions.
 
-    The image's border is no outline: pixels within two of it are left out. Returns `[H,
-    W]`, True on the outline's pixels; and `[K, 2]`, the unit outward direction (x
+    The image's border is no outline: pixels within two of it are left out. Returns
+    `[H, W]`, True on the outline's pixels; and `[K, 2]`, the unit outward direction (x
     right, y up) of each, in row order.
     """
     outline = mask & ~ndimage.binary_erosion(mask, border_value=1)

@@ -60,9 +60,9 @@ class Truth(NamedTuple):
 def read_truth(channels: dict[str, np.ndarray]) -> Truth:
     """Takes the passes of `Studio.truth` apart.
 
-    `mask [H, W]` bool, where there is an object with a unit normal; `normals [H, W,
-    3]`, zero outside; `depth [H, W]`, along the view axis, from the camera, 0 outside;
-    `maps`: `baseColor [H, W, 3]`, `roughness` and `metal [H, W]`.
+    `mask [H, W]` bool, where there is an object with a unit normal;
+    `normals [H, W, 3]`, zero outside; `depth [H, W]`, along the view axis, from the
+    camera, 0 outside; `maps`: `baseColor [H, W, 3]`, `roughness` and `metal [H, W]`.
     """
 
     def stack(name: str, parts: str) -> np.ndarray:

@@ -26,10 +26,10 @@ def make_batches(
 ) -> Iterator[Batch]:
     """The batches of the steps after `first`; each follows from its step.
 
-    `compiling` is entered, with what it is, while something compiles. Yields `images
-    [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and, of scenes where the
-    network has use for them, `lights [B, N, 3]` and `incident` (`scenes.IncidentLight`,
-    `[B, N, ...]`).
+    `compiling` is entered, with what it is, while something compiles. Yields
+    `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and, of scenes
+    where the network has use for them, `lights [B, N, 3]` and `incident`
+    (`scenes.IncidentLight`, `[B, N, ...]`).
     """
     data, seed = config.data, config.train.seed
     scene_share = {"scenes": 1.0, "folders": 0.0}.get(data.source, data.scene_share)

@@ -33,8 +33,8 @@ def folder_batches(
 ) -> Iterator[dict[str, np.ndarray]]:
     """Endless batches of PS-Wild objects, shuffled anew every epoch.
 
-    Yields `images [B, N, size, size, 3]`, `mask [B, size, size]` and `normals [B, size,
-    size, 3]`, B being this process' share of the batch.
+    Yields `images [B, N, size, size, 3]`, `mask [B, size, size]` and
+    `normals [B, size, size, 3]`, B being this process' share of the batch.
 
     Args:
         root: see `PSWildFolders`.

@@ -2,18 +2,18 @@
 
 The published rows use PS-FCN for the normals, here `ps_fcn`. Source: Chen et al.,
 "What is learned in deep uncalibrated photometric stereo?" (ECCV 2020); "PS-FCN: a
-flexible learning framework for photometric stereo" (ECCV 2018); "Self-calibrating
-deep photometric stereo networks" (CVPR 2019). A re-implementation of the authors'
+flexible learning framework for photometric stereo" (ECCV 2018); "Self-calibrating deep
+photometric stereo networks" (CVPR 2019). A re-implementation of the authors'
 architecture, checked against their networks' numbers. Their weights are not part of
 this package: the user supplies and converts them (`gcnet.parameters.from_official`).
 Without weights the methods raise `Unsupported`; nothing runs untrained.
 
 The networks are not indifferent to exposure. The UniPS paper rescales each image
 linearly "so that values lie between 0 and 0.1" while dividing by 0.1 of its maximum,
-which gives [0, 10]; `norm` offers both readings ("range01" and "literal10"), and
-`per` whether each image or the whole stack has its maximum there. `per="image"`
-erases the exposures' ratios for the network; estimated intensities are multiplied
-back, so they always refer to the images as given.
+which gives [0, 10]; `norm` offers both readings ("range01" and "literal10"), and `per`
+whether each image or the whole stack has its maximum there. `per="image"` erases the
+exposures' ratios for the network; estimated intensities are multiplied back, so they
+always refer to the images as given.
 """
 
 import functools
@@ -116,9 +116,9 @@ def estimate_lights(
 ) -> Lights:
     """Light directions and intensities of an object's images, by GCNet or LCNet.
 
-    Options are those of `gcnet`. Directions `[N, 3]` are unit, z >= 0; intensities `[N,
-    3]`, equal over the channels, are for the images as given: dividing by them brings
-    all images to one exposure. Their common scale has no meaning.
+    Options are those of `gcnet`. Directions `[N, 3]` are unit, z >= 0; intensities
+    `[N, 3]`, equal over the channels, are for the images as given: dividing by them
+    brings all images to one exposure. Their common scale has no meaning.
     """
     _, mask = object_pixels(observed, name="estimate_lights", minimum=_MIN_IMAGES)
     rows, columns = box(mask, margin)

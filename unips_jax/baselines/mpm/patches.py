@@ -1,8 +1,8 @@
 """MPM-style method, first half: patches and their normals up to an orthogonal frame.
 
-Within a patch whose normals vary little, an environment acts like one directional
-light (its vector irradiance), so a patch's pixels times images have rank 3; uniform
-albedo fixes the metric, which leaves a rotation or reflection per patch.
+Within a patch whose normals vary little, an environment acts like one directional light
+(its vector irradiance), so a patch's pixels times images have rank 3; uniform albedo
+fixes the metric, which leaves a rotation or reflection per patch.
 
 Everything is float64 NumPy: patches are small, and the metric is ill-conditioned.
 
@@ -134,9 +134,9 @@ def _solve(pixels: np.ndarray, values: np.ndarray, bright: float) -> Patch | Non
 def upgrade(factors: np.ndarray) -> np.ndarray | None:
     """Finds the frame in which rank-3 factors have constant length.
 
-    Factors `[p, 3]` are whitened: their second moment is the identity. Returns `[p,
-    3]`, lengths near 1, known up to an orthogonal matrix; None if no real frame fits,
-    which happens where the light is not equivalent to one direction.
+    Factors `[p, 3]` are whitened: their second moment is the identity. Returns
+    `[p, 3]`, lengths near 1, known up to an orthogonal matrix; None if no real frame
+    fits, which happens where the light is not equivalent to one direction.
     """
     x, y, z = factors.T
     terms = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z], axis=1)
