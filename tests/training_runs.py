@@ -59,8 +59,10 @@ from pathlib import Path
 import jax
 jax.config.update("jax_num_cpu_devices", int(sys.argv[2]))
 from unips_jax.models.config_json import from_json
+from unips_jax.training import sharding
 from unips_jax.training.config import Config
 from unips_jax.training.loop import train
+sharding._MIN_SPLIT = 8  # else the small network's arrays would not be split at all
 config = from_json(Config, Path(sys.argv[1], "config.json").read_text())
 if len(sys.argv) > 3:
     jax.config.update("jax_cpu_collectives_implementation", "gloo")

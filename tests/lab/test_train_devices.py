@@ -43,6 +43,18 @@ def test_eight_devices_agree_with_one(single, tmp_path, fsdp):
     assert_close(final_params(tmp_path), final_params(whole))
 
 
+def test_a_run_goes_on_with_fewer_devices(single, tmp_path):
+    """On eight that split the parameters, then two, then one."""
+    config, whole = single
+    for steps, devices, fsdp in ((2, "8", 4), (4, "2", 2), (5, "1", 1)):
+        train = dataclasses.replace(config.train, steps=steps)
+        mesh = dataclasses.replace(config.mesh, fsdp=fsdp)
+        changed = dataclasses.replace(config, train=train, mesh=mesh)
+        told = finish(start(tmp_path, changed, devices))
+        assert steps == 2 or "going on after step" in told
+    assert_close(final_params(tmp_path), final_params(whole))
+
+
 def test_two_hosts_begin_and_one_goes_on(single, tmp_path):
     """Each has four devices, and finds the other as SLURM tells it.
 
