@@ -6,7 +6,8 @@ with edges of any contrast alike (orientation correlation: Fitch et al., BMVC 20
 phase correlation of pairs. Places are those that most pairs agree upon (least absolute
 deviations). A highlight moves with the lamp, too: a shift counts only where most parts
 of the picture, each with one vote, fit better with it than without, and where light
-does not explain as much (`shading`).
+does not explain as much (`shading`). Where the mask is known, its outline has the last
+word (`outline`): it moves with the object, and light does not move it.
 """
 
 import dataclasses
@@ -14,6 +15,7 @@ import dataclasses
 import cv2
 import numpy as np
 
+from unips_jax.capture.outline import OutlineShifts, outline_shifts
 from unips_jax.capture.shading import SIDE, light_of, shift_of
 from unips_jax.io.masks import mask_box
 
@@ -33,6 +35,10 @@ _LEAST = 1.5  # pixels
 _MODELLED = 6  # photographs, from which on light is taken into account
 _AGREES = 4.0  # spreads of the parts of a picture
 _SHARE = 0.005  # of the longer side
+_OUTLINES = 5  # photographs, from which on outlines are compared
+_FOLLOW = 0.6  # of an outline's lines
+_GAIN = 0.4  # of them, more than without the shift
+_STAYED = 0.8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,9 +88,28 @@ def find_motion(images: np.ndarray, mask: np.ndarray | None = None) -> Motion:
     offsets[np.hypot(*offsets.T) < 0.1] = 0
     votes = _votes(fields, weight, offsets)
     motion = Motion(offsets / scale, votes, reference, limit)
-    if count < _MODELLED or not motion.moved.any():
+    if count >= _MODELLED and motion.moved.any():
+        motion = _unexplained(motion, images[:, rows, columns])
+    if mask is None or count < _OUTLINES:
         return motion
-    return _unexplained(motion, images[:, rows, columns])
+    outlines = outline_shifts(images[:, rows, columns], mask[rows, columns], scale)
+    return motion if outlines is None else _with_outlines(motion, outlines)
+
+
+def _with_outlines(motion: Motion, outlines: OutlineShifts) -> Motion:
+    """Believes the outline where it lies elsewhere, or where it stayed, clearly."""
+    offsets, votes = motion.offsets.copy(), motion.votes.copy()
+    votes[motion.moved & (outlines.still >= _STAYED)] = 0
+    far = np.hypot(*outlines.offsets.T) >= motion.limit
+    clearly = outlines.agree - outlines.still >= _GAIN
+    far &= clearly & (outlines.agree >= _FOLLOW)
+    if far.sum() > len(far) / 2:  # which of them moved is not known
+        return dataclasses.replace(motion, votes=votes)
+    missed = np.hypot(*(outlines.offsets - offsets).T) >= motion.limit
+    elsewhere = far & (missed | ~motion.moved)
+    offsets[elsewhere] = outlines.offsets[elsewhere]
+    votes[elsewhere] = outlines.agree[elsewhere].clip(VOTES)
+    return dataclasses.replace(motion, offsets=offsets, votes=votes)
 
 
 def _unexplained(motion: Motion, images: np.ndarray) -> Motion:
