@@ -59,7 +59,9 @@ def _chunked_sum_jvp(function: Any, primals: Any, tangents: Any) -> Any:
         (value, arrays), (by_params, by_x) = run(params, *part)
         return jax.tree.map(jnp.add, total, (value, by_params)), (arrays, by_x)
 
-    zeros = jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)
+    first = jax.tree.map(lambda x: x[0], tuple(parts))
+    (value, _), _ = jax.eval_shape(run, params, *first)
+    zeros = jnp.zeros((), value.dtype), jax.tree.map(jnp.zeros_like, params)
     (value, by_params), (arrays, by_xs) = jax.lax.scan(add, zeros, tuple(parts))
     change = optax.tree.vdot((by_params, by_xs), tangents[:2])
     still = jax.tree.map(jnp.zeros_like, arrays)

@@ -52,7 +52,7 @@ def check_input(config: Config, mesh: Mesh) -> None:
             f"--data.root {data.root!r}: expected the folder of the training data, "
             "found none; `unips render` makes some"
         )
-    if config.model.dtype == "float64" and not jax.config.read("jax_enable_x64"):
+    if jax.dtypes.canonicalize_dtype(config.model.dtype) != config.model.dtype:
         raise InputError(
             "--model.dtype float64: expected JAX to have such numbers, it has not; set "
             "JAX_ENABLE_X64=1, or take float32"

@@ -1,0 +1,76 @@
+"""JAX's flags `jax_debug_nans` and `jax_enable_x64`, through whole networks."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_networks import SMALL, SMALL_OURS, lively_network
+from training_runs import CONFIG, batch
+
+from unips_jax import estimate_normals
+from unips_jax.training.chunked_sum import chunked_sum
+from unips_jax.training.state import init_state
+from unips_jax.training.step import train_step
+
+NONE, NANS, X64 = {}, {"jax_debug_nans": True}, {"jax_enable_x64": True}
+
+
+@pytest.fixture
+def flags():
+    """Sets flags, and puts them back."""
+    before = {name: getattr(jax.config, name) for name in (*NANS, *X64)}
+
+    def set_flags(given):
+        for name, value in (before | given).items():
+            jax.config.update(name, value)
+
+    yield set_flags
+    set_flags({})
+
+
+def test_sums_in_pieces_keep_their_type(flags):
+    def function(params, xs, constants):
+        return jnp.sum(params * xs**2 * constants), xs
+
+    def total(params):
+        xs = jnp.arange(5, dtype=jnp.float32)
+        return chunked_sum(function, params, xs, jnp.ones(5, jnp.float32), 2)[0]
+
+    found = []
+    for given in (NONE, X64):
+        flags(given)
+        value, slope = jax.value_and_grad(total)(jnp.float32(2))
+        assert value.dtype == slope.dtype == jnp.float32
+        found.append((float(value), float(slope)))
+    assert found[0] == found[1] == (60.0, 30.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", [SMALL, SMALL_OURS], ids=["unips", "ours"])
+def test_normals_gradients_and_a_step_are_the_same(config, flags):
+    scene = batch(1, 4, 16)
+    images = np.array(scene["images"][0], np.float32)
+    images, mask = images / images.max(), np.asarray(scene["mask"][0])
+
+    def total(x, network):
+        return (estimate_normals(network, x, mask) * jnp.arange(3.0)).sum()
+
+    found = []
+    for given in (NONE, NANS, X64):
+        flags(given)
+        network = lively_network(config)
+        normals = estimate_normals(network, images, mask)
+        slopes = jax.grad(total)(jnp.asarray(images), network)
+        sets = batch(8, 3, 16)
+        run = functools.partial(train_step, config=CONFIG)
+        state = init_state(CONFIG, jax.random.key(0))
+        state, metrics = jax.jit(run)(state, sets, jax.random.key(1))
+        kinds = {leaf.dtype for leaf in jax.tree.leaves(state.params)}
+        assert kinds == {jnp.dtype("float32")} and normals.dtype == jnp.float32
+        found.append((normals, slopes, metrics["loss"], metrics["grad_norm"]))
+    for other in found[1:]:
+        for value, expected in zip(other, found[0], strict=True):
+            scale = np.abs(expected).max()
+            np.testing.assert_allclose(value, expected, atol=2e-4 * scale)
