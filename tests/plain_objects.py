@@ -138,3 +138,16 @@ def hemisphere(size=48):
     z = np.sqrt(np.where(mask, 1 - x**2 - y**2, 0))
     normals = np.stack([x, y, z], -1) * mask[..., None]
     return normals.astype(np.float32), mask, -radius * z
+
+
+def rippled_dome(size=64):
+    """A dome with fine ripples: depth, normals, colours."""
+    y, x = np.mgrid[:size, :size] - (size - 1) / 2
+    height = 12 * np.cos(np.hypot(x, y) / 30) + 0.6 * np.sin(x) * np.cos(y / 2)
+    down, right = np.gradient(height)
+    normals = np.stack([-right, down, np.ones_like(x)], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    inside = np.hypot(x, y) < 0.45 * size
+    colors = np.random.default_rng(0).integers(1, 256, (size, size, 3), np.uint8)
+    depth = np.where(inside, -height, np.nan).astype(np.float32)
+    return depth, (normals * inside[..., None]).astype(np.float32), colors

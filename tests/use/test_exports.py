@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from gltf_reader import read_glb
-from plain_objects import hemisphere
+from plain_objects import hemisphere, rippled_dome
 
 from unips_jax.cli.surface import main as surface
 from unips_jax.surface.exports import Scale, blender_model, printable
@@ -16,21 +16,8 @@ from unips_jax.surface.exports import Scale, blender_model, printable
 trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")
 
 
-def bumpy(size=64):
-    """A dome with fine ripples: depth, normals, colours."""
-    y, x = np.mgrid[:size, :size] - (size - 1) / 2
-    height = 12 * np.cos(np.hypot(x, y) / 30) + 0.6 * np.sin(x) * np.cos(y / 2)
-    down, right = np.gradient(height)
-    normals = np.stack([-right, down, np.ones_like(x)], -1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    inside = np.hypot(x, y) < 0.45 * size
-    colors = np.random.default_rng(0).integers(1, 256, (size, size, 3), np.uint8)
-    depth = np.where(inside, -height, np.nan).astype(np.float32)
-    return depth, (normals * inside[..., None]).astype(np.float32), colors
-
-
 def test_a_model_gives_back_every_pixels_normal(tmp_path):
-    depth, normals, colors = bumpy()
+    depth, normals, colors = rippled_dome()
     data, facts = blender_model(depth, normals, name="dome", colors=colors)
     path = tmp_path / "dome.glb"
     path.write_bytes(data)
@@ -59,7 +46,7 @@ def test_a_model_gives_back_every_pixels_normal(tmp_path):
 
 
 def test_a_known_scale_is_kept(tmp_path):
-    depth, normals, _ = bumpy()
+    depth, normals, _ = rippled_dome()
     data, facts = blender_model(
         0.5 * depth, normals, Scale(None, 0.5, "mm"), name="dome"
     )
@@ -73,7 +60,7 @@ def test_a_known_scale_is_kept(tmp_path):
 
 @pytest.mark.parametrize("focal", [None, 90.0])
 def test_a_print_is_watertight_and_stands_on_a_base(focal):
-    depth, _, _ = bumpy()
+    depth, _, _ = rippled_dome()
     depth += 100 if focal else 0
     depth[20:24, 20:24] = np.nan  # a hole
     depth[30, 30] = depth[31, 31] = np.nan  # that meet in a corner
