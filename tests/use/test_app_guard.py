@@ -198,6 +198,7 @@ def test_both_languages_say_all_of_it():
     assert len(kinds) > 12
     unseen = {"unreadable", "unusable"}  # said of the file
     assert {f"finding_{kind}" for kind in kinds - unseen} <= english.keys()
+    assert {f"side_{number}" for number in range(8)} <= english.keys()
     codes = set()
     for path in (source / "app").glob("*.py"):
         text = path.read_text()

@@ -39,9 +39,9 @@ class Limits:
     files: int = 200
     objects: int = 50
     pixels: int = 100_000_000
-    looking_bytes: int = _of_machine(0.15, 4 * 2**30)
-    gathering_bytes: int = _of_machine(0.25, 8 * 2**30)
-    estimating_bytes: int = _of_machine(0.5)
+    looking_bytes: int = _of_machine(0.12, 4 * 2**30)
+    gathering_bytes: int = _of_machine(0.20, 8 * 2**30)
+    estimating_bytes: int = _of_machine(0.45)
     looking_s: float = 60
     gathering_s: float = 600
     stalled_s: float = 60
