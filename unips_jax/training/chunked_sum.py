@@ -65,4 +65,4 @@ def _chunked_sum_jvp(function: Any, primals: Any, tangents: Any) -> Any:
     (value, by_params), (arrays, by_xs) = jax.lax.scan(add, zeros, tuple(parts))
     change = optax.tree.vdot((by_params, by_xs), tangents[:2])
     still = jax.tree.map(jnp.zeros_like, arrays)
-    return (value, arrays), (change, still)
+    return (value, arrays), (change.astype(value.dtype), still)
