@@ -146,8 +146,7 @@ def _nearest(name: str, known: Sequence[str]) -> list[str]:
 def one_of(choices: Sequence[str], *, several: bool = False) -> Any:
     """Annotates an option whose choices are known where it is declared.
 
-    Args:
-        several: it takes one or more of them.
+    With `several` it takes one or more of them.
     """
     import tyro
 
@@ -178,11 +177,7 @@ def print_table(
 
 
 def start_jax() -> None:
-    """Readies JAX for a command: a device, and compiled functions are kept.
-
-    Raises:
-        InputError: if there is no device of the platform that the user asked for.
-    """
+    """Readies JAX for a command: a device that there is, and compilations are kept."""
     import jax
 
     cache_compilations()
@@ -262,10 +257,8 @@ def track(
 ) -> Iterator[_T]:
     """Yields the items, showing `progress`.
 
-    Args:
-        items: what to go through, without what an earlier run did, so that the pace is
-            true.
-        total: number of items, where `items` has no length.
+    `items` are without what an earlier run did, so that the pace is true; `total` is
+    their number, where they have no length.
     """
     if total is None:
         total = len(items)  # type: ignore[arg-type]

@@ -51,17 +51,11 @@ def _sizes(option: str, folder: Path, found: list[Path]) -> dict[str, int]:
 
 
 class Plan(NamedTuple):
-    """What is to be rendered.
+    """What is to be rendered."""
 
-    Attributes:
-        jobs: the objects.
-        chosen: fields of `Settings`; environments may be "blender".
-        threads: of the renderer.
-    """
-
-    jobs: list[assets.Job]
-    chosen: dict[str, Any]
-    threads: int
+    jobs: list[assets.Job]  # the objects
+    chosen: dict[str, Any]  # fields of `Settings`; environments may be "blender"
+    threads: int  # of the renderer
 
 
 def plan(preset: str = "test", **given: Any) -> Plan:

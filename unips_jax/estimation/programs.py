@@ -47,11 +47,9 @@ def kept(
 ) -> Callable[..., tuple[Any, ...]]:
     """`jax.jit`, whose programs are kept between runs.
 
-    Args:
-        function: of pytrees of arrays, and of static keyword arguments; returns a tuple
-            of arrays.
-        rarely_run: compile it in three quarters of the time, to a program that is no
-            slower as long as products take most of it.
+    `function` is of pytrees of arrays, and of static keyword arguments; it returns a
+    tuple of arrays. `rarely_run`: compiled in three quarters of the time, to a program
+    that is no slower as long as products take most of it.
     """
     name = f"{function.__module__}.{function.__qualname__}"
     lock = threading.Lock()

@@ -78,11 +78,9 @@ def columns(names: Iterable[str], labels: Iterable[str] = ()) -> list[Column]:
 def row(
     *values: Value, kind: Kind = "own", method: str = "", best: Iterable[int] = ()
 ) -> Row:
-    """A row of bare values.
+    """A row of bare values, one for each column.
 
     Args:
-        *values: one for each column.
-        kind: of the row.
         method: the label of the method that the row is of, named by its first cell.
         best: places of the cells to set in bold.
     """

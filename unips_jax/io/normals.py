@@ -47,8 +47,8 @@ def write_normals(
 ) -> None:
     """Writes `normals.png` and `normals.npy`, and on request `.exr` and `.mat`.
 
-    `normals.mat` is for MATLAB, key `Normal_est`. `normal_map`: the convention of the
-    PNG and the EXR.
+    `normals` are `[H, W, 3]`, float32, unit length or 0; `normals.mat` is for MATLAB,
+    key `Normal_est`; `normal_map` is the convention of the PNG and the EXR.
     """
     turned = turn_normals(normals, normal_map)
     write_image(folder / "normals.png", encode_normals(turned))

@@ -24,44 +24,33 @@ from unips_jax.scenes.tracing import object_point
 
 
 class Scene(NamedTuple):
-    """One object under N lights.
+    """One object under N lights."""
 
-    Attributes:
-        images: `[N, H, W, 3]` float32 in [0, 1] as the camera recorded them, linear
-            or not, zero outside the mask.
-        mask: `[H, W]` bool.
-        normals: `[H, W, 3]` float32, x right, y up, z to the viewer, unit inside the
-            mask, zero outside. Where the mask is larger than the object
-            (`SceneConfig.rim_rate`) they continue those of its border.
-        light_kind: index into `LIGHT_KINDS`.
-        shape_kind: index into `SHAPE_NAMES`.
-        material: index into `MATERIALS`.
-        focal: 35 mm equivalent in mm; 0 for orthographic cameras.
-        light_directions: `[N, 3]`, unit, of directional scenes, else zero.
-        light_intensities: `[N, 3]`, of the same; exposure and white balance included.
-        light_means: `[N, 3]`, the mean direction of each image's light at the object's
-            centre, weighted by power: 1 long for a single light, 0 for light that
-            comes equally from everywhere.
-        base_color: `[H, W, 3]`, linear, in [0, 1]; of metals their reflectance. This
-            and the next two are continued beyond the object as the normals are.
-        roughness: `[H, W]`, in [0, 1], perceptual.
-        metallic: `[H, W]`, in [0, 1].
-        incident: the light of each image; None unless it was asked for.
-    """
-
+    # `[N, H, W, 3]` float32 in [0, 1] as the camera recorded them, linear or not, zero
+    # outside the mask
     images: Array
-    mask: Array
+    mask: Array  # `[H, W]` bool
+    # `[H, W, 3]` float32, x right, y up, z to the viewer, unit inside the mask, zero
+    # outside. Where the mask is larger than the object (`SceneConfig.rim_rate`) they
+    # continue those of its border.
     normals: Array
-    light_kind: Array
-    shape_kind: Array
-    material: Array
-    focal: Array
-    light_directions: Array
+    light_kind: Array  # index into `LIGHT_KINDS`
+    shape_kind: Array  # index into `SHAPE_NAMES`
+    material: Array  # index into `MATERIALS`
+    focal: Array  # 35 mm equivalent in mm; 0 for orthographic cameras
+    light_directions: Array  # `[N, 3]`, unit, of directional scenes, else zero
+    # `[N, 3]`, of the same; exposure and white balance included
     light_intensities: Array
+    # `[N, 3]`, the mean direction of each image's light at the object's centre,
+    # weighted by power: 1 long for a single light, 0 for light that comes equally from
+    # everywhere
     light_means: Array
+    # `[H, W, 3]`, linear, in [0, 1]; of metals their reflectance. This and the next two
+    # are continued beyond the object as the normals are.
     base_color: Array
-    roughness: Array
-    metallic: Array
+    roughness: Array  # `[H, W]`, in [0, 1], perceptual
+    metallic: Array  # `[H, W]`, in [0, 1]
+    # the light of each image; None unless it was asked for
     incident: IncidentLight | None = None
 
 

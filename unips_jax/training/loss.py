@@ -46,38 +46,54 @@ from unips_jax.training.pixels import (
 
 
 class Objects(NamedTuple):
-    """B objects to train on."""
+    """B objects to train on.
 
-    images: Array  # `[B, N, H, W, 3]`, linear, of any scale
-    mask: Array  # `[B, H, W]`, bool
-    normals: Array  # `[B, H, W, 3]`, unit length inside the mask
-    # `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown
+    Attributes:
+        images: `[B, N, H, W, 3]`, linear, of any scale.
+        mask: `[B, H, W]`, bool.
+        normals: `[B, H, W, 3]`, unit length inside the mask.
+        lights: `[B, N, 3]`, see `scenes.Scene.light_means`; None: unknown.
+        incident: arrays `[B, N, ...]`; None: unknown.
+        known_lights: `[B, N, 3]`, what the network is given of them, see
+            `models.known_lights`.
+    """
+
+    images: Array
+    mask: Array
+    normals: Array
     lights: Array | None = None
-    incident: IncidentLight | None = None  # arrays `[B, N, ...]`; None: unknown
-    # `[B, N, 3]`, what the network is given of them, see `models.known_lights`
+    incident: IncidentLight | None = None
     known_lights: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class LossOptions:
-    """What the loss compares, and how."""
+    """What the loss compares, and how.
 
-    num_pixels: int  # full-resolution pixels to draw of each object
-    # what the encoder's square surrounds, the "mask" or the whole "image"
+    Attributes:
+        num_pixels: full-resolution pixels to draw of each object.
+        frame: what the encoder's square surrounds, the "mask" or the whole "image".
+        grid_loss: include the sampling at the contexts' grid.
+        squared_loss: the distances of the normals are squared, as in the paper.
+        coarse_guess_weight: of the guess of coarse normals; the normals have 1.
+        lights_guess_weight: of the guess of the lights.
+        kinds_guess_weight: of the guesses of the kinds of light.
+        pixel_blocks: pixels are drawn in blocks of 2 x 2; not with `grid_loss`.
+        steepness_weight: pixels count by the exponential of this times how much the
+            true normals change within their block; 0: all the same.
+        differences_weight: of the differences between the pixels of a block.
+    """
+
+    num_pixels: int
     frame: FrameKind = "image"
-    grid_loss: bool = True  # include the sampling at the contexts' grid
-    # the distances of the normals are squared, as in the paper
+    grid_loss: bool = True
     squared_loss: bool = True
-    # of the guess of coarse normals; the normals have 1
     coarse_guess_weight: float = 0.5
-    lights_guess_weight: float = 0.25  # of the guess of the lights
-    kinds_guess_weight: float = 0.1  # of the guesses of the kinds of light
-    # pixels are drawn in blocks of 2 x 2; not with `grid_loss`
+    lights_guess_weight: float = 0.25
+    kinds_guess_weight: float = 0.1
     pixel_blocks: bool = False
-    # pixels count by the exponential of this times how much the true normals change
-    # within their block; 0: all the same
     steepness_weight: float = 0.0
-    differences_weight: float = 0.0  # of the differences between the pixels of a block
+    differences_weight: float = 0.0
 
 
 def squared_distance(predicted: Array, true: Array) -> Array:
