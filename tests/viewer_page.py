@@ -9,7 +9,7 @@ from selenium.webdriver.support.ui import Select, WebDriverWait
 
 def opened(driver):
     ready = "return document.body.dataset.ready === 'true'"
-    WebDriverWait(driver, 30).until(lambda d: d.execute_script(ready))
+    WebDriverWait(driver, 300).until(lambda d: d.execute_script(ready))
 
 
 def element(page, name):

@@ -239,6 +239,6 @@ def test_without_webgl_the_normals_are_shown(address):
     with browser(arguments=["--disable-3d-apis"]) as driver:
         driver.get(address)
         failure = driver.find_element(By.ID, "failure")
-        WebDriverWait(driver, 20).until(lambda _: failure.is_displayed())
+        WebDriverWait(driver, 300).until(lambda _: failure.is_displayed())
         assert "WebGL 2" in failure.text
         assert driver.find_element(By.CSS_SELECTOR, "#stage img").is_displayed()
