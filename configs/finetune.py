@@ -20,9 +20,10 @@ Compare before and after on objects that were not trained on:
     unips eval --benchmark ps-wild --root held-out --workdir out \
         --weights tiny runs/mine/last.safetensors
 
-Hardware: two CPU cores. Time: meant for one hour (`tiny` takes 11 seconds a step).
-Score: not measured yet. Further training of `tiny` on its own mixture gained nothing
-(`docs/history/tiny.md`): what a narrower one gains is not known.
+Hardware: two CPU cores. Time: 50 minutes beside other work.
+Score: little is gained. 64 held-out scenes of metal: 14.3 degrees before, 14.1 after (a
+constant normal 40.7); 24 sets of reliefs and plates of all materials: 8.3 before, 8.6
+after.
 """
 
 import dataclasses
