@@ -336,7 +336,7 @@ def test_paper_size():
         ({"aggregation_heads": 7}, "aggregation_heads"),
         ({"attention": "mine"}, "attention: expected one of ('pre_norm', 'released')"),
         ({"dropout_rate": 1.5}, "dropout_rate"),
-        ({"mlp_ratio": float("nan")}, "mlp_ratio: expected a positive number"),
+        ({"mlp_ratio": float("nan")}, "mlp_ratio: expected finite numbers"),
         ({"depths": (2, 0, 4, 2)}, "depths"),
         ({"depths": (10**7, 2, 2, 2)}, "depths: expected one to eight numbers"),
         ({"depths": [2, 2, 18, 2]}, "depths: expected tuple[int, ...], got [2"),

@@ -74,7 +74,7 @@ def test_absent_and_broken_files(tmp_path):
 def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
     path = tmp_path / "small.safetensors"
     path.mkdir()
-    with pytest.raises(InputError, match=r"small\.safetensors: expected a place"):
+    with pytest.raises(InputError, match=r"small\.safetensors: cannot be written"):
         save_weights(path, UniversalNetwork(SMALL, {}))
     assert list(tmp_path.iterdir()) == [path]
 

@@ -69,7 +69,7 @@ def check_memory(state: Any, mesh: Mesh) -> None:
     Raises:
         InputError: naming the fields.
     """
-    device = mesh.devices.flat[0]
+    device = mesh.local_devices[0]  # of others nothing is known here
     most = (device.memory_stats() or {}).get("bytes_limit", 0)
     if device.platform == "cpu" and hasattr(os, "sysconf"):
         most = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
