@@ -91,12 +91,12 @@ def opening(tmp_path, monkeypatch):
     monkeypatch.setattr(desk, "_SETTLED_S", 0.05)
     app_client.Pretended.hold.set()
     app_client.Pretended.calls.clear()
-    with contextlib.ExitStack() as there:
+    with contextlib.ExitStack() as stack:
 
         def open_client():
-            there.close()
+            stack.close()
             served = app_client.served(tmp_path / "results", app_client.LIMITS)
-            return there.enter_context(served)
+            return stack.enter_context(served)
 
-        open_client.close = there.close
+        open_client.close = stack.close
         yield open_client

@@ -73,21 +73,21 @@ def test_unips_is_given_the_lights_of_a_benchmark(tmp_path):
     save_weights(tmp_path / "knowing.safetensors", knowing)
     save_weights(tmp_path / "other.safetensors", lively_network(SMALL_OURS))
     options = UnipsOptions([str(tmp_path / "knowing.safetensors")])
-    (plain, _), (told, _), (roughly, _) = (
+    (plain, _), (given, _), (roughly, _) = (
         load_variants([request], options)
         for request in ("unips", "unips:lights=true", "unips:lights=20,fast=true")
     )
-    assert (told.label, roughly.label) == ("unips lights", "unips fast lights 20")
-    assert len({str(variant.key) for variant in (plain, told, roughly)}) == 3
+    assert (given.label, roughly.label) == ("unips lights", "unips fast lights 20")
+    assert len({str(variant.key) for variant in (plain, given, roughly)}) == 3
     rng = np.random.default_rng(0)
     images = rng.uniform(0.1, 1, (2, 12, 12, 3)).astype(np.float32)
     ways = np.array([[0.6, 0, 0.8], [0, -0.6, 0.8]])
     seen = Observed(images, np.ones((12, 12), bool), Lights(ways, np.ones((2, 3))))
     expected = estimate_normals(knowing, images, lights=ways.astype(np.float32))
-    np.testing.assert_allclose(told.run(seen), expected, atol=2e-5)
-    assert abs(told.run(seen) - plain.run(seen)).max() > 1e-2
+    np.testing.assert_allclose(given.run(seen), expected, atol=2e-5)
+    assert abs(given.run(seen) - plain.run(seen)).max() > 1e-2
     with pytest.raises(Unsupported, match="needs known lights"):
-        told.run(seen._replace(lights=None))
+        given.run(seen._replace(lights=None))
     others = UnipsOptions([str(tmp_path / "other.safetensors")])
     with pytest.raises(InputError, match="expected weights of a network with"):
         load_variants(["unips:lights=true"], others)
