@@ -19,10 +19,7 @@ CHUNK_TOKENS = 1024
 
 
 def map_chunks(function: Callable[[Any], Any], xs: Any, size: int) -> Any:
-    """Applies a function to chunks of the leading axis, rematerialised under `grad`.
-
-    Chunks are as `split_chunks` makes them.
-    """
+    """A function of `split_chunks` of the leading axis, rematerialised under `grad`."""
     total = jax.tree.leaves(xs)[0].shape[0]
     if ops.known(lambda: total <= size):
         return jax.checkpoint(function)(xs)
@@ -31,11 +28,7 @@ def map_chunks(function: Callable[[Any], Any], xs: Any, size: int) -> Any:
 
 
 def bounded(num_images: int) -> dict[str, Any]:
-    """Options of `encode` that keep its memory from growing with the set.
-
-    Args:
-        num_images: of the set; a symbol under `jax.export`, where there are none.
-    """
+    """Options of `encode` that keep its memory from growing with the set."""
     if not isinstance(num_images, int):
         return {}
     return {
@@ -53,11 +46,7 @@ def pixels_at_a_time(contexts: Array) -> int:
 
 
 def in_pieces(size: int) -> Pieces:
-    """`map_chunks` for the modules of an encoder; every chunk has its own dropout.
-
-    Args:
-        size: of the chunks.
-    """
+    """`map_chunks` for an encoder's modules; every chunk has its own dropout."""
 
     def run(module: nn.Module, xs: Any, *rest: Any) -> Any:
         def call(module: Any, part: Any) -> Any:
@@ -78,10 +67,7 @@ def in_pieces(size: int) -> Pieces:
 
 
 def split_chunks(xs: Any, size: int) -> Any:
-    """Cuts arrays `[P, ...]` into chunks of at most `size`: `[chunks, p, ...]`.
-
-    Chunks are evenly sized if the total is known, the last one padded with zeros.
-    """
+    """Cuts `[P, ...]` into even chunks up to `size`, padded: `[chunks, p, ...]`."""
     total = jax.tree.leaves(xs)[0].shape[0]
     chunks = -(-total // size)
     if isinstance(total, int):

@@ -83,11 +83,7 @@ class ModelConfig:
     remat: bool = False
 
     def __post_init__(self) -> None:
-        """Checks every field.
-
-        Raises:
-            ValueError: naming the field, what was expected and what came.
-        """
+        """Raises `ValueError` naming the field, what was expected and what came."""
         require(
             self.network in NETWORKS,
             "ModelConfig: expected one of the networks, from ModelConfig.paper(), "
@@ -313,11 +309,7 @@ class SelfCalibratingConfig(ModelConfig):
     known_lights: bool = False
 
     def __post_init__(self) -> None:
-        """Checks every field.
-
-        Raises:
-            ValueError: naming the field, what was expected and what came.
-        """
+        """Raises `ValueError` as for every network."""
         super().__post_init__()
         widths = ("ratio_dim", "consensus_dim", "observation_dim")
         require_positive(self, *widths, "consensus_blocks")

@@ -34,16 +34,7 @@ def _without_later(items: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def from_json(cls: type[_T], text: str) -> _T:
-    """Reads back what `to_json` wrote.
-
-    Args:
-        cls: the configuration's class.
-        text: JSON text.
-
-    Raises:
-        ValueError: if it is no JSON object, a field is unknown, or a value is not
-            acceptable.
-    """
+    """Reads what `to_json` wrote; `ValueError` where text or a field does not fit."""
     try:
         values = json.loads(text)
     except RecursionError:

@@ -1,11 +1,11 @@
 """What the images of a set agree on: the object's shape, and each image's light.
 
-Our addition to the paper. Its encoder sees an image at a time, and at most features at
-the same place in the others; here one map stands for the whole set, so that attention
-over the whole square costs as much as for one image. Coarse normals and the lights are
-guessed on the way, and training compares them with the true ones: where the lights are
-is most of what uncalibrated photometric stereo has to find out (SDPS-Net, Chen et al.,
-CVPR 2019, has a network of its own for it).
+Our addition to the paper, whose encoder sees an image at a time, and at most features
+at the same place in the others. Here one map stands for the whole set, so that
+attention over the whole square costs as much as for one image. Coarse normals and the
+lights are guessed on the way, and training compares them with the true ones: where the
+lights are is most of what uncalibrated photometric stereo has to find out (SDPS-Net,
+Chen et al., CVPR 2019, has a network of its own for it).
 """
 
 import flax.linen as nn
@@ -25,22 +25,14 @@ _MLP_RATIO = 3
 
 
 class Consensus(nn.Module):
-    """Changes contexts by what the images of their set agree on.
+    """Changes contexts by what the images of their set agree on; begins as nothing.
 
     A map of the set comes from the contexts' mean and maximum over the images; each
-    image's light from how its contexts go with that map; a better map from both. The
-    change begins as zero.
-
-    Attributes:
-        blocks: attention blocks over the map, half of them before the lights.
-        features: their width, a multiple of 32.
-        light_tokens: whether kinds of light have tokens (see `models.light_tokens`).
-        known_lights: whether lights can be given (see `models.known_lights`).
-        dtype: compute type.
+    image's light from how its contexts go with that map; a better map from both.
     """
 
-    blocks: int
-    features: int
+    blocks: int  # of attention over the map, half of them before the lights
+    features: int  # a multiple of 32
     light_tokens: bool = False
     known_lights: bool = False
     dtype: DTypeLike = jnp.float32
@@ -52,16 +44,7 @@ class Consensus(nn.Module):
         valid: Array | None = None,
         lights: Array | None = None,
     ) -> tuple[Array, Guesses]:
-        """Applies the consensus.
-
-        Args:
-            contexts: `[B, N, h, w, C]`.
-            valid: `[N]`, bool: which images count; None: all.
-            lights: `[B, N, 3]`, known ones; None: none is.
-
-        Returns:
-            The contexts, changed, and the guesses.
-        """
+        """Contexts `[B, N, h, w, C]`, changed; `valid [N]`, `lights [B, N, 3]`."""
         batch, images, height, width, channels = contexts.shape
         cells = contexts.reshape(batch, images, -1, channels)  # [B, N, T, C]
         normed = layer_norm(self.dtype, "norm_contexts")(cells)

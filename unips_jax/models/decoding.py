@@ -1,7 +1,6 @@
-"""What the decoders of both networks are made of.
+"""What the decoders of both networks are made of: a pixel's set becomes its normal.
 
-Source: UniPS (Ikehata, CVPR 2022), Sec. 4.2 and supplement: the aggregation of a
-pixel's set by a Set Transformer, and the prediction of its normal.
+Source: UniPS (Ikehata, CVPR 2022), Sec. 4.2 and supplement.
 """
 
 from typing import Literal
@@ -19,13 +18,7 @@ _XYZ = 3
 
 
 class Aggregation(nn.Module):
-    """One vector from the set of a pixel's observations, each with its context.
-
-    Attributes:
-        config: the network's configuration.
-        attention: arithmetic of set attention.
-        pooling: "pma", or the maximum over the set, "max".
-    """
+    """One vector from the set of a pixel's observations, each with its context."""
 
     config: ModelConfig
     attention: AttentionKind = "pre_norm"
@@ -39,17 +32,7 @@ class Aggregation(nn.Module):
         valid: Array | None = None,
         deterministic: bool = True,
     ) -> Array:
-        """Aggregates sets.
-
-        Args:
-            pixels: `[..., N, 3]`, normalised RGB.
-            contexts: `[..., N, context_dim]`, read at the pixels' places.
-            valid: `[N]`, bool, or None.
-            deterministic: no dropout.
-
-        Returns:
-            `[..., hidden_dim]`.
-        """
+        """RGB `[..., N, 3]` and contexts `[..., N, C]` to `[..., hidden_dim]`."""
         config = self.config
         dtype = jnp.dtype(config.dtype)
         # One pixel's observations may go with the contexts of several views.
@@ -83,11 +66,7 @@ class Aggregation(nn.Module):
 
 
 class Prediction(nn.Module):
-    """A vector along the normal, from a pixel's aggregated vector.
-
-    Attributes:
-        config: the network's configuration.
-    """
+    """A vector along the normal, from a pixel's aggregated vector."""
 
     config: ModelConfig
 

@@ -23,30 +23,17 @@ Pieces = Callable[..., Any]
 
 
 class Guesses(NamedTuple):
-    """What an encoder may find out on its way, for B sets of N images.
+    """What an encoder may find out on its way, for B sets of N images."""
 
-    Attributes:
-        normals: `[B, h, w, 3]`, along the normals at the contexts' cells, any length.
-        lights: `[B, N, 3]`, mean directions of the images' lights (see
-            `scenes.Scene.light_means`).
-        kinds: of the light; None from a network without light tokens.
-    """
-
-    normals: Array
-    lights: Array
-    kinds: LightGuess | None = None
+    normals: Array  # [B, h, w, 3], along those at the contexts' cells, any length
+    lights: Array  # [B, N, 3], mean directions (see `scenes.Scene.light_means`)
+    kinds: LightGuess | None = None  # from light tokens
 
 
 class Encoded(NamedTuple):
-    """What an encoder makes of sets of images.
+    """What an encoder makes of sets of images."""
 
-    Attributes:
-        contexts: the global lighting contexts, `[..., N, g, g, context_dim]`, where g
-            is `ModelConfig.context_size`.
-        guesses: see there; None from a network that makes none.
-    """
-
-    contexts: Array
+    contexts: Array  # [..., N, g, g, context_dim], g = context_size
     guesses: Guesses | None = None
 
 
@@ -83,19 +70,7 @@ def communicate(
     deterministic: bool,
     by_place: Pieces = whole,
 ) -> Array:
-    """Lets the images of a set exchange features at every place of a map.
-
-    Args:
-        block: one of `communications`.
-        level: `[M, h, w, C]`; every N images in a row are a set.
-        num_images: N.
-        valid: `[N]`, bool: which images count; None: all.
-        deterministic: no dropout.
-        by_place: how to run the block, on `[places, N, C]`.
-
-    Returns:
-        As `level`.
-    """
+    """Lets every N maps `[h, w, C]` in a row, a set, exchange features by place."""
     sets = level.reshape(-1, num_images, *level.shape[1:])
     sets = jnp.moveaxis(sets, 1, -2)  # [M / N, h, w, N, C]
     places = sets.reshape(-1, *sets.shape[-2:])

@@ -18,10 +18,10 @@ from unips_jax.models.set_attention import Dense, layer_norm
 
 
 def node_matrix(cells: int) -> np.ndarray:
-    """Weights of an axis' cells at the `2 cells + 1` nodes: `[nodes, cells]`.
+    """Weights of an axis' cells at nodes half a cell apart: `[2 cells + 1, cells]`.
 
-    Node k lies k half cells from the border; what lies beyond the outer cells' centres
-    has their values, as in `ops.bilinear_sample`.
+    What lies beyond the outer cells' centres has their values, as in
+    `ops.bilinear_sample`.
     """
     places = np.clip((np.arange(2 * cells + 1) - 1) / 2, 0, cells - 1)
     return np.maximum(1 - np.abs(places[:, None] - np.arange(cells)), 0)
@@ -36,12 +36,7 @@ def at_nodes(contexts: Array) -> Array:
 
 
 class Fine(nn.Module):
-    """Contexts at the nodes, changed by convolutions. Begins without a change.
-
-    Attributes:
-        features: width of the convolutions.
-        dtype: compute type.
-    """
+    """Contexts at the nodes, changed by convolutions. Begins without a change."""
 
     features: int
     dtype: DTypeLike = jnp.float32

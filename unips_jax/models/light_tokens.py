@@ -19,51 +19,29 @@ _KINDS, _REGISTERS = 3, 4  # surroundings, near lamp, distant lamp
 
 
 class LightGuess(NamedTuple):
-    """What the tokens guess of the light of B sets of N images.
+    """What the tokens guess of the light of B sets of N images."""
 
-    Attributes:
-        harmonics: `[B, N, 9, 3]`, coefficients of all its radiance, divided by the mean
-            colour of the first (see `scenes.IncidentLight`).
-        near: `[B, N, 3]`, towards a near lamp, any length.
-        nearness: `[B, N]`, 1 / its distance in radii of the object.
-        near_share: `[B, N]`, the logit of its share of all light.
-        distant: `[B, N, 3]`, towards a distant lamp, any length.
-        distant_share: `[B, N]`, as `near_share`.
-    """
-
+    # [B, N, 9, 3], coefficients of all its radiance, divided by the mean colour of the
+    # first (see `scenes.IncidentLight`)
     harmonics: Array
-    near: Array
-    nearness: Array
-    near_share: Array
-    distant: Array
-    distant_share: Array
+    near: Array  # [B, N, 3], towards a near lamp, any length
+    nearness: Array  # [B, N], 1 / its distance in radii of the object
+    near_share: Array  # [B, N], the logit of its share of all light
+    distant: Array  # [B, N, 3], towards a distant lamp, any length
+    distant_share: Array  # [B, N], as `near_share`
 
 
 class LightTokens(nn.Module):
-    """Changes what is known of each image's light by its kind. Begins without a change.
+    """Changes what is known of each image's light by its kind; begins as nothing."""
 
-    Attributes:
-        features: width, a multiple of 32.
-        dtype: compute type.
-    """
-
-    features: int
+    features: int  # a multiple of 32
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
     def __call__(
         self, cells: Array, light: Array, valid: Array | None
     ) -> tuple[Array, LightGuess]:
-        """Applies it.
-
-        Args:
-            cells: `[B, N, T, F]`, how each image goes with the shape.
-            light: `[B, N, F]`, what is known of its light.
-            valid: `[N]`, bool: which images count; None: all.
-
-        Returns:
-            The light, changed, and the guesses.
-        """
+        """How images go with the shape `[B, N, T, F]`; their light `[B, N, F]`."""
         batch, images = light.shape[:2]
         count = _KINDS + _REGISTERS
         options: dict[str, Any] = dict(

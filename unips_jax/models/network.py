@@ -1,7 +1,6 @@
 """A network, and its one pass: encode a set of images, decode pixels.
 
-What estimates, exports or trains goes through here, and need not know which network it
-has.
+What estimates, exports or trains need not know which network it has.
 """
 
 import dataclasses
@@ -44,11 +43,7 @@ class UniversalNetwork:
 
 
 class EncoderDecoder(nn.Module):
-    """The Flax module of either network, as its configuration says.
-
-    Attributes:
-        config: the network's configuration.
-    """
+    """The Flax module of either network, as its configuration says."""
 
     config: ModelConfig
 
@@ -96,23 +91,14 @@ class EncoderDecoder(nn.Module):
 
 
 class Encoding(NamedTuple):
-    """What V views of an object are encoded to, for its pixels to be decoded with.
+    """What V views of an object are encoded to, for its pixels to be decoded with."""
 
-    Attributes:
-        contexts: the global lighting contexts, `[V, s/4, s/4, N, context_dim]`: what is
-            read for a pixel lies side by side.
-        frame: see `Views`.
-        mirrored: see `Views`.
-        width: see `Views`.
-        guesses: coarse normals and the lights of each view; None from a network that
-            makes none.
-    """
-
+    # [V, s/4, s/4, N, context_dim]: what a pixel reads lies in one place
     contexts: Array
-    frame: Frame
+    frame: Frame  # this and the next two: see `Views`
     mirrored: Array
     width: Array
-    guesses: Guesses | None = None
+    guesses: Guesses | None = None  # of each view
 
 
 def encode(
@@ -124,15 +110,11 @@ def encode(
     by_place: Pieces = whole,
     dropout: Array | None = None,
 ) -> Encoding:
-    """Encodes views, of one object or of several.
+    """Encodes views `[V, N, s, s, 4]`; in training, V objects of one view each.
 
-    Args:
-        network: needs its "encoder" alone.
-        views: `[V, N, s, s, 4]`; in training, V objects of one view each.
-        valid: `[N]`, bool: which images count; None: all.
-        by_image: how to run what treats every image alone (see `models.encoding`).
-        by_place: how to run what treats every place of the maps alone.
-        dropout: a key, in training.
+    Needs the network's "encoder" alone. `valid [N]`: which images count (None: all);
+    `by_image`, `by_place`: how to run what treats every image, and every place of the
+    maps, alone; `dropout`: a key, in training.
     """
     lights: Any = {} if views.lights is None else {"lights": views.lights}
     encoded: Any = EncoderDecoder(network.config).apply(
@@ -157,17 +139,10 @@ def decode(
     places: tuple[Array, Array],
     valid: Array | None = None,
 ) -> Array:
-    """Normals of an object's pixels, from their sets.
+    """Unit normals `[P, 3]` of an object's pixels; of two views the mean.
 
-    Args:
-        network: needs its "decoder" alone.
-        encoding: of the object, V views.
-        pixels: `[P, N, 3]`, normalised RGB.
-        places: rows and columns of the pixels in the image, `[P]` each.
-        valid: `[N]`, bool: which images count; None: all.
-
-    Returns:
-        Unit normals, `[P, 3]`; of two views the mean, mirrored back.
+    Needs the network's "decoder" alone. `pixels [P, N, 3]` are normalised RGB, `places`
+    their rows and columns in the image; `valid [N]`: which images count (None: all).
     """
     rows, columns = places
     read: list[Array] = []
@@ -189,17 +164,10 @@ def decode_sets(
     *,
     dropout: Array | None = None,
 ) -> Array:
-    """Normals of pixels whose contexts have been read.
+    """Unit normals `[..., 3]`, float32, of pixels `[..., N, 3]` with their contexts.
 
-    Args:
-        network: needs its "decoder" alone.
-        pixels: `[..., N, 3]`, normalised RGB.
-        contexts: `[..., N, context_dim]`, from `read_contexts`.
-        valid: `[N]`, bool: which images count; None: all.
-        dropout: a key, in training.
-
-    Returns:
-        Unit normals, `[..., 3]`, float32.
+    Needs the network's "decoder" alone. Contexts `[..., N, C]` are from
+    `read_contexts`; `dropout` is a key, in training.
     """
     decoded: Any = EncoderDecoder(network.config).apply(
         {"params": network.params},
@@ -214,10 +182,7 @@ def decode_sets(
 
 
 def with_uniform_contexts(encoding: Encoding, views: Views) -> Encoding:
-    """Replaces each image's contexts by their mean over the mask.
-
-    An ablation, to see what their spatial variation gives (UniPS, Table 5).
-    """
+    """Contexts as their mean over the mask, an ablation (UniPS, Table 5)."""
     contexts = encoding.contexts
     size = (contexts.shape[1], contexts.shape[2])
     inside = ops.resize_mask_nearest(views.images[..., 3], size)  # [V, N, h, w]
@@ -228,15 +193,11 @@ def with_uniform_contexts(encoding: Encoding, views: Views) -> Encoding:
 
 
 def guessed_lights(encoding: Encoding) -> Array | None:
-    """Mean directions of the images' lights, the mean over the views.
+    """Mean directions of an object's lights, `[N, 3]`, the mean over the views.
 
-    Args:
-        encoding: of one object.
-
-    Returns:
-        `[N, 3]`, weighted by power: about 1 long for one lamp, 0 for light that comes
-        equally from everywhere (see `scenes.Scene.light_means`). None where the network
-        makes no guesses.
+    Weighted by power: about 1 long for one lamp, 0 for light that comes equally from
+    everywhere (see `scenes.Scene.light_means`). None where the network makes no
+    guesses.
     """
     if encoding.guesses is None:
         return None
@@ -253,17 +214,7 @@ def _mirrored_back(vectors: Array, mirrored: Array) -> Array:
 def read_contexts(
     contexts: Array, rows: Array, columns: Array, *, config: ModelConfig
 ) -> Array:
-    """Reads contexts between the cells of their grid.
-
-    Args:
-        contexts: `[h, w, N, C]`.
-        rows: `[P]`, in cells of the grid; 0 is the centre of the first cell.
-        columns: `[P]`, in cells.
-        config: the network's configuration.
-
-    Returns:
-        `[P, N, C]`.
-    """
+    """Reads contexts `[h, w, N, C]` between their cells, at P places: `[P, N, C]`."""
     zeros = config.reads_at_corners
     return ops.bilinear_sample(contexts, rows, columns, zeros=zeros)
 

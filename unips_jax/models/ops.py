@@ -26,12 +26,7 @@ def leading(x: Array, ndim: int) -> Array:
 
 
 def known(condition: Callable[[], Any]) -> bool:
-    """Whether a condition on shapes holds; False where a shape is not known.
-
-    Args:
-        condition: computes it. Shapes are symbols under `jax.export`, and comparing
-            these raises where it is so for some sizes only.
-    """
+    """Whether a condition on shapes holds; False where `jax.export` has symbols."""
     try:
         return bool(condition())
     except jax.errors.InconclusiveDimensionOperation:
@@ -39,29 +34,13 @@ def known(condition: Callable[[], Any]) -> bool:
 
 
 def resize_bilinear(x: Array, size: Sequence[int]) -> Array:
-    """Resizes with half-pixel centres and no antialiasing.
-
-    Args:
-        x: `[..., H, W, C]`.
-        size: the new height and width.
-
-    Returns:
-        `[..., *size, C]`.
-    """
+    """Resizes `[..., H, W, C]` with half-pixel centres and no antialiasing."""
     shape = (*x.shape[:-3], *size, x.shape[-1])
     return jax.image.resize(x, shape, "linear", antialias=False)
 
 
 def resize_mask_nearest(mask: Array, size: tuple[int, int]) -> Array:
-    """Resizes a mask by taking the source index `floor(i * H / size)`.
-
-    Args:
-        mask: `[..., H, W]`.
-        size: the new height and width.
-
-    Returns:
-        `[..., *size]`, same type. Source: `jax.image.resize` rounds centres instead.
-    """
+    """Resizes `[..., H, W]` by taking source index `floor(i * H / size)`."""
     height, width = mask.shape[-2:]
     rows = np.arange(size[0]) * height // size[0]
     columns = np.arange(size[1]) * width // size[1]
@@ -69,16 +48,9 @@ def resize_mask_nearest(mask: Array, size: tuple[int, int]) -> Array:
 
 
 def adaptive_average_matrix(size: int, bins: int) -> np.ndarray:
-    """Weights of adaptive average pooling along one axis.
+    """Weights of adaptive average pooling along one axis, `[bins, size]`.
 
     Bin i averages the cells from floor(i * size / bins) to ceil((i + 1) * size / bins).
-
-    Args:
-        size: cells along the axis.
-        bins: number of averages.
-
-    Returns:
-        `[bins, size]`, rows summing to 1.
     """
     weights = np.zeros((bins, size), np.float32)
     for i in range(bins):
@@ -95,31 +67,14 @@ def adaptive_average_pool(x: Array, bins: int) -> Array:
 
 
 def window_partition(x: Array, window_size: int) -> Array:
-    """Cuts maps into windows.
-
-    Args:
-        x: `[B, H, W, C]`, H and W multiples of `window_size`.
-        window_size: side of a window.
-
-    Returns:
-        `[B * windows, window_size**2, C]`, windows in row-major order.
-    """
+    """Cuts maps `[B, H, W, C]` into windows `[B * windows, window_size**2, C]`."""
     b, h, w, c = x.shape
     x = x.reshape(b, h // window_size, window_size, w // window_size, window_size, c)
     return x.transpose(0, 1, 3, 2, 4, 5).reshape(-1, window_size**2, c)
 
 
 def window_reverse(windows: Array, height: int, width: int) -> Array:
-    """Puts the windows of `window_partition` back together.
-
-    Args:
-        windows: `[B * windows, window_size**2, C]`.
-        height: H of the maps.
-        width: W of the maps.
-
-    Returns:
-        `[B, H, W, C]`.
-    """
+    """Puts the windows of `window_partition` back together: `[B, H, W, C]`."""
     window_size = round(windows.shape[1] ** 0.5)
     rows, columns = height // window_size, width // window_size
     x = windows.reshape(-1, rows, columns, window_size, window_size, windows.shape[-1])
@@ -129,16 +84,9 @@ def window_reverse(windows: Array, height: int, width: int) -> Array:
 def shift_mask(
     height: int, width: int, window_size: int, shift_size: int
 ) -> np.ndarray:
-    """What shifted windows add to their attention: -100 between separate regions.
+    """What shifted windows add to logits: -100 between regions (Swin, Sec. 3.2).
 
-    Args:
-        height: H of the (padded) map.
-        width: W of the (padded) map.
-        window_size: side of a window.
-        shift_size: by how many tokens the map was rolled.
-
-    Returns:
-        `[windows, window_size**2, window_size**2]`, float32. Source: Swin, Sec. 3.2.
+    For a (padded) map that was rolled: `[windows, window_size**2, window_size**2]`.
     """
 
     def regions(size: int) -> np.ndarray:
@@ -152,14 +100,7 @@ def shift_mask(
 
 
 def relative_position_index(window_size: int) -> np.ndarray:
-    """For every pair of tokens in a window, its row in the bias table.
-
-    Args:
-        window_size: side w of the window.
-
-    Returns:
-        `[w**2, w**2]` integers in [0, (2w-1)**2).
-    """
+    """The row in the bias table of every pair of tokens in a window: `[w**2, w**2]`."""
     y, x = np.divmod(np.arange(window_size**2), window_size)
     dy = y[:, None] - y[None, :] + window_size - 1
     dx = x[:, None] - x[None, :] + window_size - 1
@@ -167,16 +108,9 @@ def relative_position_index(window_size: int) -> np.ndarray:
 
 
 def bilinear_sample(grid: Array, rows: Array, columns: Array, *, zeros: bool) -> Array:
-    """Reads a map at fractional places.
+    """Reads `[h, w, ...]` at P places, in cells; 0 is the first cell's centre.
 
-    Args:
-        grid: `[h, w, ...]`.
-        rows: `[P]`, in cells of the grid; 0 is the centre of the first cell.
-        columns: `[P]`, in cells of the grid.
-        zeros: cells beyond the border count as zero; else places are clamped.
-
-    Returns:
-        `[P, ...]`.
+    Beyond the border are zeros, or with `zeros=False` the values at the border.
     """
     h, w = grid.shape[:2]
     rows, columns = jnp.asarray(rows), jnp.asarray(columns)
@@ -205,24 +139,11 @@ def convolution(
     padding: Sequence[tuple[int, int]],
     **options: Any,
 ) -> Array:
-    """`jax.lax.conv_general_dilated`, for `nn.Conv` to call: fast to train on CPU.
+    """`jax.lax.conv_general_dilated` for `nn.Conv` to call: fast to train on CPU.
 
     The value is the library's. The derivative by the kernel is a sum of plain products,
     one per cell of the kernel: as a convolution, its transpose is up to ten times
-    slower on CPU.
-
-    Args:
-        x: `[B, H, W, C]`.
-        kernel: `[h, w, C, features]`.
-        strides: of rows and columns.
-        padding: zeros before and after rows and columns.
-        **options: the library's others; dilations and groups must be 1.
-
-    Returns:
-        `[B, H', W', features]`.
-
-    Raises:
-        ValueError: for a dilation or groups.
+    slower on CPU. `ValueError` for dilations and groups.
     """
     for name in ("lhs_dilation", "rhs_dilation", "feature_group_count"):
         value = options.get(name, 1)
@@ -294,14 +215,9 @@ def _by_patches(
 
 
 def normalize(x: Array) -> Array:
-    """Divides vectors by their length, in float32, with finite gradients at zero.
+    """Divides `[..., 3]` by its length, in float32, with finite gradients at zero.
 
-    Args:
-        x: `[..., 3]`.
-
-    Returns:
-        `[..., 3]`, unit vectors; zero where `x` is shorter than 1e-12, NaN where its
-        squared length is not finite.
+    Zero where `x` is shorter than 1e-12, NaN where its squared length is not finite.
     """
     x = x.astype(wide_dtype(x.dtype))
     squared = jnp.sum(jnp.square(x), axis=-1, keepdims=True)
@@ -331,16 +247,9 @@ def largest(x: Array, axis: int) -> Array:
 
 
 def sinusoids(height: int, width: int) -> Array:
-    """Sines and cosines of a grid's rows and columns, for attention to know places.
+    """Sines and cosines of a grid's rows and columns, `[height, width, 16]`.
 
     Four octaves of each: the longest period is twice the side, each next one half.
-
-    Args:
-        height: of the grid, in cells.
-        width: of the grid, in cells.
-
-    Returns:
-        `[height, width, 16]`.
     """
 
     def waves(size: int) -> Array:

@@ -1,8 +1,4 @@
-"""The authors' released parameters, under the names they have here.
-
-Torch names and layouts, as in the three files of their checkpoint; the configuration
-they need is `ModelConfig.released()`.
-"""
+"""The authors' released parameters: Torch names and layouts, as in their files."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -56,18 +52,11 @@ def official_name(key: str) -> str:
 
 
 def from_official(arrays: Mapping[str, np.ndarray]) -> UniversalNetwork:
-    """Converts the authors' parameters.
+    """The network of the authors' arrays, which `ModelConfig.released()` fits.
 
-    Args:
-        arrays: their arrays under the names of their three state dicts, prefixed
-            "encoder.", "aggregation." and "prediction."; with or without "module.".
-            Linear weights are `[out, in]`, convolutions `[out, in, kh, kw]`.
-
-    Returns:
-        The network, with the configuration they need.
-
-    Raises:
-        InputError: naming all missing, unexpected and misshapen keys at once.
+    Names are those of their three state dicts, after "encoder.", "aggregation." or
+    "prediction."; with or without "module.". `InputError` names all missing, unexpected
+    and misshapen ones at once.
     """
     config = ModelConfig.released()
     expected = param_shapes(config)

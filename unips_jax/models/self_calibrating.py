@@ -46,15 +46,10 @@ _DARK = 0.02
 
 
 def image_ratios(images: Array, valid: Array | None = None) -> Array:
-    """How each image of a set compares with their mean: shading without albedo.
+    """How images `[..., N, s, s, 4]` compare with their set: shading without albedo.
 
-    Args:
-        images: `[..., N, s, s, 4]`, normalised RGB and mask.
-        valid: `[N]`, bool: which images count; None: all.
-
-    Returns:
-        `[..., N, s, s, 3]`: the ratio of the brightness to its mean over the set, that
-        ratio's logarithm, and the mean's; zero outside the mask.
+    Three channels: the ratio of the brightness to its mean over the set, that ratio's
+    logarithm, and the mean's; zero outside the mask.
     """
     inside, light = images[..., 3:], _brightness(images)
     mean = jnp.broadcast_to(set_mean(images, valid), light.shape)
@@ -76,11 +71,7 @@ def _brightness(images: Array) -> Array:
 
 
 class Encoder(nn.Module):
-    """Global lighting contexts, and guesses of the normals and the lights.
-
-    Attributes:
-        config: the network's configuration.
-    """
+    """Global lighting contexts, and guesses of the normals and the lights."""
 
     config: SelfCalibratingConfig
 
@@ -120,10 +111,7 @@ class Encoder(nn.Module):
         by_image: Pieces = whole,
         by_place: Pieces = whole,
     ) -> Encoded:
-        """Computes the contexts and the guesses; arguments as in `models.unips`.
-
-        `lights [..., N, 3]` are known ones; None: none is.
-        """
+        """Arguments as in `models.unips`; `lights [..., N, 3]` are known ones."""
         images, details = images[..., :4], images[..., 4:]
         *sets, height, width, channels = images.shape
         ratios = image_ratios(images, valid)
@@ -157,14 +145,9 @@ class Encoder(nn.Module):
 
 
 class Observation(nn.Module):
-    """Lets a pixel's observations scale and shift its contexts.
+    """Lets a pixel's observations scale and shift its contexts; begins as the identity.
 
-    Beside each value stands its ratio to the set's mean, which no albedo changes.
-    Begins as the identity.
-
-    Attributes:
-        features: width of the embedding.
-        dtype: compute type.
+    Next to each value stands its ratio to the set's mean, which no albedo changes.
     """
 
     features: int
@@ -172,16 +155,7 @@ class Observation(nn.Module):
 
     @nn.compact
     def __call__(self, pixels: Array, contexts: Array, valid: Array | None) -> Array:
-        """Changes the contexts.
-
-        Args:
-            pixels: `[..., N, 3]`, normalised RGB.
-            contexts: `[..., N, C]`.
-            valid: `[N]`, bool, or None.
-
-        Returns:
-            As `contexts`.
-        """
+        """Contexts `[..., N, C]` changed by normalised RGB `[..., N, 3]`."""
         light = jnp.maximum(pixels.astype(jnp.float32), 0)
         where = None if valid is None else ops.leading(valid[:, None], light.ndim)
         mean = jnp.mean(light, axis=-2, keepdims=True, where=where)
@@ -199,11 +173,7 @@ class Observation(nn.Module):
 
 
 class Decoder(nn.Module):
-    """The normal of a pixel from its set of N observations and contexts.
-
-    Attributes:
-        config: the network's configuration.
-    """
+    """The normal of a pixel from its set of N observations and contexts."""
 
     config: SelfCalibratingConfig
 

@@ -32,10 +32,7 @@ def truncated_normal(stddev: float = 0.02) -> nn.initializers.Initializer:
 
 
 class Dense(nn.Dense):
-    """A linear layer that takes its inputs as one matrix.
-
-    The product is the same; on CPU the kernel's gradient is twice as fast.
-    """
+    """A linear layer on one matrix: on CPU the kernel's gradient is twice as fast."""
 
     def __call__(self, x: Array) -> Array:
         """Maps `[..., C]` to `[..., features]`."""
@@ -66,19 +63,10 @@ def dot_product_attention(
     bias: ArrayLike = 0.0,
     dropout: Callable[[Array], Array] = lambda weights: weights,
 ) -> Array:
-    """Multi-head attention; softmax at least in float32.
+    """Attention of `q [..., Q, C]` to `k, v [..., N, C]`; softmax at least in float32.
 
-    Args:
-        q: `[..., Q, C]`; each head has its C / heads channels in a row.
-        k: `[..., N, C]`.
-        v: `[..., N, C]`.
-        num_heads: heads.
-        scale: multiplies the logits.
-        bias: added to them, `[..., heads, Q, N]`.
-        dropout: applied to the weights.
-
-    Returns:
-        `[..., Q, C]`.
+    Each head has C / heads channels in a row. `bias [..., heads, Q, N]` is added to the
+    logits after `scale`; `dropout` is applied to the weights.
     """
 
     def split(x: Array) -> Array:
@@ -113,18 +101,11 @@ def members_bias(valid: Array | None) -> ArrayLike:
 
 
 class SetMLP(nn.Module):
-    """The residual MLP that ends every block: x + W2 gelu(W1 LN(x)).
-
-    Attributes:
-        mlp_dim: hidden width.
-        use_layer_norm: whether the branch starts with a LayerNorm.
-        dropout_rate: on the hidden layer and on the branch.
-        dtype: compute type.
-    """
+    """The residual MLP that ends every block: x + W2 gelu(W1 LN(x))."""
 
     mlp_dim: int
     use_layer_norm: bool
-    dropout_rate: float
+    dropout_rate: float  # on the hidden layer and on the branch
     dtype: DTypeLike
 
     @nn.compact
@@ -139,41 +120,22 @@ class SetMLP(nn.Module):
 
 
 class SAB(nn.Module):
-    """Set attention block: every member of a set reads from all of them.
-
-    Attributes:
-        features: width of the output.
-        num_heads: attention heads; divides `features`.
-        mlp_dim: hidden width of the MLP.
-        attention: "pre_norm" or "released".
-        use_layer_norm: for "released" only; "pre_norm" always normalises.
-        dropout_rate: on the attention weights, in the MLP and on its branch.
-        query_chunk: of more than twice as many members, so many attend at a time, so
-            that the weights stay in cache; not with dropout. None: all at once.
-        dtype: compute type.
-    """
+    """Set attention block: every member of a set reads from all of them."""
 
     features: int
     num_heads: int
     mlp_dim: int
     attention: AttentionKind
-    use_layer_norm: bool = True
-    dropout_rate: float = 0.0
+    use_layer_norm: bool = True  # "released" only; "pre_norm" always normalises
+    dropout_rate: float = 0.0  # on attention weights, in the MLP, on its branch
+    # Of more than twice as many members, this many attend at a time, so that the
+    # weights stay in cache; not with dropout.
     query_chunk: int | None = None
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
     def __call__(self, x: Array, valid: Array | None, deterministic: bool) -> Array:
-        """Applies the block.
-
-        Args:
-            x: sets, `[..., N, C]`.
-            valid: `[N]`, bool: which members count; None: all.
-            deterministic: no dropout.
-
-        Returns:
-            `[..., N, features]`.
-        """
+        """Sets `[..., N, C]` to `[..., N, features]`; `valid [N]`: the members."""
         pre_norm = self.attention == "pre_norm"
         layer_norms = pre_norm or self.use_layer_norm
         normed = layer_norm(self.dtype, "norm")(x) if layer_norms else x
@@ -243,37 +205,19 @@ class PMA(nn.Module):
     (its bias drops out of the softmax), and values are projected after pooling: the
     result is that of the plain block, with one product per set in place of two per
     member.
-
-    Attributes:
-        features: width of the seeds and of the output.
-        num_heads: attention heads.
-        mlp_dim: hidden width of the MLP.
-        attention: "pre_norm" or "released" (then without LayerNorm).
-        num_seeds: number of outputs per set.
-        dropout_rate: as in `SAB`.
-        dtype: compute type.
     """
 
     features: int
     num_heads: int
     mlp_dim: int
-    attention: AttentionKind
+    attention: AttentionKind  # "released" has no LayerNorm
     num_seeds: int = 1
     dropout_rate: float = 0.0
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
     def __call__(self, y: Array, valid: Array | None, deterministic: bool) -> Array:
-        """Pools sets.
-
-        Args:
-            y: `[..., N, C]`.
-            valid: `[N]`, bool: which members count; None: all.
-            deterministic: no dropout.
-
-        Returns:
-            `[..., num_seeds, features]`.
-        """
+        """Sets `[..., N, C]` to `[..., num_seeds, features]`; `valid [N]`: members."""
         pre_norm = self.attention == "pre_norm"
         seeds = self.param(
             "seeds", nn.initializers.xavier_uniform(), (self.num_seeds, self.features)

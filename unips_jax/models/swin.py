@@ -21,16 +21,9 @@ from unips_jax.models.set_attention import (
 
 
 class PatchEmbed(nn.Module):
-    """Five convolutions without bias that reduce each side by four.
+    """Five convolutions without bias that reduce each side by four."""
 
-    Attributes:
-        channels: widths of the first two and the next two convolutions' first one.
-        embed_dim: width of the output.
-        dtype: compute type.
-        last_init: of the last convolution's kernel.
-    """
-
-    channels: tuple[int, int]
+    channels: tuple[int, int]  # of the first two, and of the next two
     embed_dim: int
     dtype: DTypeLike = jnp.float32
     last_init: nn.initializers.Initializer = nn.initializers.he_normal()
@@ -65,13 +58,7 @@ class PatchEmbed(nn.Module):
 
 
 class WindowAttention(nn.Module):
-    """Multi-head self-attention within windows, with relative position bias.
-
-    Attributes:
-        num_heads: attention heads.
-        window_size: side of the windows.
-        dtype: compute type.
-    """
+    """Multi-head self-attention within windows, with relative position bias."""
 
     num_heads: int
     window_size: int
@@ -79,15 +66,7 @@ class WindowAttention(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, mask: np.ndarray | None) -> Array:
-        """Attends within each window.
-
-        Args:
-            x: `[B * windows, T, C]`, T = window_size**2.
-            mask: `[windows, T, T]`, added to the logits, or None.
-
-        Returns:
-            `[B * windows, T, C]`.
-        """
+        """Attends in `[B * windows, T, C]`; `mask [windows, T, T]` adds to logits."""
         b, t, c = x.shape
         table = self.param(
             "relative_position_bias_table",
@@ -112,22 +91,13 @@ class WindowAttention(nn.Module):
 
 
 class SwinBlock(nn.Module):
-    """Window attention and an MLP, each with LayerNorm before and a residual.
-
-    Attributes:
-        num_heads: attention heads.
-        window_size: side of the windows.
-        shift_size: how far the windows are shifted; 0 for even blocks.
-        mlp_ratio: hidden width of the MLP over the input's.
-        drop_path_rate: probability of dropping a residual branch, per map.
-        dtype: compute type.
-    """
+    """Window attention and an MLP, each with LayerNorm before and a residual."""
 
     num_heads: int
     window_size: int
-    shift_size: int
+    shift_size: int  # 0 for even blocks
     mlp_ratio: float
-    drop_path_rate: float
+    drop_path_rate: float  # per map
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
@@ -163,11 +133,7 @@ class SwinBlock(nn.Module):
 
 
 class PatchMerging(nn.Module):
-    """Halves each side and doubles the channels.
-
-    Attributes:
-        dtype: compute type.
-    """
+    """Halves each side and doubles the channels."""
 
     dtype: DTypeLike = jnp.float32
 
@@ -182,13 +148,7 @@ class PatchMerging(nn.Module):
 
 
 class SwinStage(nn.Module):
-    """The merging of patches, but in the first stage, and the blocks of one stage.
-
-    Attributes:
-        config: the network's configuration.
-        stage: its number, from 0.
-        dtype: compute type.
-    """
+    """The merging of patches, but in the first stage, and the blocks of one stage."""
 
     config: ModelConfig
     stage: int
@@ -196,10 +156,7 @@ class SwinStage(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, deterministic: bool) -> Array:
-        """Maps the stage before's `[B, h, w, C]` to `[B, h/2, w/2, 2C]`.
-
-        The first stage keeps the tokens' shape.
-        """
+        """`[B, h, w, C]` to `[B, h/2, w/2, 2C]`; the first stage keeps the shape."""
         if self.stage:
             x = PatchMerging(self.dtype, name="merging")(x)
         config, before = self.config, sum(self.config.depths[: self.stage])

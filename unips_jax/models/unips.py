@@ -2,10 +2,9 @@
 
 Source: "Universal Photometric Stereo Network using Global Lighting Contexts" (Ikehata,
 CVPR 2022), Sec. 4 and supplement, with its ablations and, in the same modules, the
-arithmetic of the authors' released weights (`UniPSConfig`). An object's images
-are one set of N; batches of objects are leading axes. `valid` `[N]` marks the images
-that count, so that sets can be padded; padding with finite values never changes a
-result.
+arithmetic of the authors' released weights (`UniPSConfig`). An object's images are one
+set of N; batches of objects are leading axes. `valid [N]` marks the images that count,
+so that sets can be padded; padding with finite values never changes a result.
 """
 
 import flax.linen as nn
@@ -28,11 +27,7 @@ from unips_jax.models.upernet import UPerNet
 
 
 class Encoder(nn.Module):
-    """Global lighting contexts from images of canonical size (Sec. 4.1).
-
-    Attributes:
-        config: the network's configuration.
-    """
+    """Global lighting contexts from images of canonical size (Sec. 4.1)."""
 
     config: UniPSConfig
 
@@ -57,17 +52,10 @@ class Encoder(nn.Module):
         by_image: Pieces = whole,
         by_place: Pieces = whole,
     ) -> Encoded:
-        """Computes the contexts.
+        """Contexts of images `[..., N, s, s, 4]`, normalised RGB and mask.
 
-        Args:
-            images: `[..., N, s, s, 4]`, normalised RGB and mask.
-            valid: `[N]`, bool, or None where all images count.
-            deterministic: no dropout.
-            by_image: how to run what treats every image alone.
-            by_place: how to run what treats every place of the maps alone.
-
-        Returns:
-            The contexts.
+        `by_image`, `by_place`: how to run what treats every image, and every place of
+        the maps, alone.
         """
         *sets, height, width, channels = images.shape
         when = self.config.communication
@@ -91,11 +79,7 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """The normal of a pixel from its set of N observations and contexts (Sec. 4.2).
-
-    Attributes:
-        config: the network's configuration.
-    """
+    """The normal of a pixel from its set of N observations and contexts (Sec. 4.2)."""
 
     config: UniPSConfig
 
@@ -112,16 +96,6 @@ class Decoder(nn.Module):
         valid: Array | None = None,
         deterministic: bool = True,
     ) -> Array:
-        """Predicts normals.
-
-        Args:
-            pixels: `[..., N, 3]`, normalised RGB.
-            contexts: `[..., N, context_dim]`, read at the pixels' places.
-            valid: `[N]`, bool, or None.
-            deterministic: no dropout.
-
-        Returns:
-            Unit normals, `[..., 3]`, float32.
-        """
+        """Unit normals `[..., 3]` of sets `[..., N, 3]`, contexts `[..., N, C]`."""
         features = self.aggregation(pixels, contexts, valid, deterministic)
         return ops.normalize(self.prediction(features))

@@ -16,30 +16,16 @@ from unips_jax.models import ops
 
 
 class UPerNet(nn.Module):
-    """Pyramid pooling on the coarsest map, then a feature pyramid.
-
-    Attributes:
-        features: width of every convolution.
-        pool_scales: bins per side of the pyramid pooling module (PPM).
-        linear_pooling: no ReLU in it, nor after it.
-        dtype: compute type.
-    """
+    """Pyramid pooling on the coarsest map, then a feature pyramid."""
 
     features: int
-    pool_scales: tuple[int, ...]
-    linear_pooling: bool = False
+    pool_scales: tuple[int, ...]  # bins per side
+    linear_pooling: bool = False  # no ReLU in the pooling, nor after it
     dtype: DTypeLike = jnp.float32
 
     @nn.compact
     def __call__(self, maps: Sequence[Array]) -> Array:
-        """Fuses the maps.
-
-        Args:
-            maps: `[B, h_i, w_i, C_i]`, finest first.
-
-        Returns:
-            `[B, h_0, w_0, features]`.
-        """
+        """Maps `[B, h_i, w_i, C_i]`, finest first, to `[B, h_0, w_0, features]`."""
         laterals = [
             self._conv(1, f"lateral{i}")(level) for i, level in enumerate(maps[:-1])
         ]

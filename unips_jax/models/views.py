@@ -24,13 +24,7 @@ FrameKind = Literal["mask", "image"]
 
 
 class Frame(NamedTuple):
-    """The square of the image that the encoder sees; it may leave the image.
-
-    Attributes:
-        top: row of its first pixel.
-        left: column of its first pixel.
-        side: its side in pixels.
-    """
+    """The square of the image that the encoder sees; it may leave the image."""
 
     top: Array
     left: Array
@@ -38,22 +32,15 @@ class Frame(NamedTuple):
 
 
 class Views(NamedTuple):
-    """An object as the encoder sees it: V views, the images and the mirrored ones.
+    """An object as the encoder sees it: V views, the images and the mirrored ones."""
 
-    Attributes:
-        images: `[V, N, s, s, 4]`, normalised RGB times mask, and the mask; then nine
-            more channels where the network sees details (`detail_bands`).
-        frame: where they are in the image, or in the mirrored image, `[V]` each.
-        mirrored: `[V]`, bool: which views are of the mirrored images.
-        width: columns of the image, int32.
-        lights: `[V, N, 3]`, known ones, of the mirrored images mirrored too; None: none
-            is (see `models.known_lights`).
-    """
-
+    # [V, N, s, s, 4], normalised RGB times mask, and the mask; then nine more channels
+    # where the network sees details (`detail_bands`)
     images: Array
-    frame: Frame
-    mirrored: Array
-    width: Array
+    frame: Frame  # in the image, or in the mirrored image, [V] each
+    mirrored: Array  # [V], bool
+    width: Array  # columns of the image, int32
+    # [V, N, 3], known ones, of mirrored images mirrored too
     lights: Array | None = None
 
 
@@ -66,12 +53,7 @@ def make_views(
 ) -> Views:
     """The views of an object in arrays; differentiable by images and lights.
 
-    Args:
-        images: `[N, H, W, 3]`, from `normalize_images`.
-        mask: `[H, W]`, bool.
-        config: the network's configuration.
-        kind: what the frame surrounds.
-        lights: `[N, 3]`, known ones; None: none is.
+    `images [N, H, W, 3]` from `normalize_images`, `mask [H, W]`, known `lights [N, 3]`.
     """
 
     def view(step: int) -> tuple[Array, Frame]:
@@ -99,20 +81,10 @@ def photograph_views(
 ) -> tuple[Views, np.ndarray]:
     """`normalize_images` and `make_views` of photographs, a few rows at a time.
 
-    Nothing here runs in JAX: for a new size of photographs it would compile first.
-
-    Args:
-        images: `[N, H, W, 3]`, of any type.
-        mask: `[H, W]`, bool.
-        linear: gives values as linear light, float32.
-        config: the network's configuration.
-        kind: what the frame surrounds.
-        lights: `[N, 3]`, known ones; None: none is.
-        padded: images of the views, the last ones zero; N if None.
-
-    Returns:
-        The views, and the photographs' gains `[N]`: one over each one's mean over
-        masked pixels and channels.
+    `linear` gives values `[..., 3]` as linear light, float32; views get `padded`
+    images, the last ones zero. Also returns the gains `[N]`: one over each photograph's
+    mean over masked pixels and channels. Nothing here runs in JAX: for a new size of
+    photographs it would compile first.
     """
     size, steps = config.canonical_size, _steps(config)
     shape = (len(steps), padded or len(images), size, size, config.input_channels)
@@ -165,15 +137,8 @@ def _in_views(lights: Any, steps: tuple[int, ...]) -> Any:
 def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:
     """The smallest square around the mask or the image, centred on it.
 
-    Args:
-        mask: `[H, W]`, non-zero on the object.
-        kind: "mask" or "image"; an empty mask gives the image's square.
-
-    Returns:
-        The frame, integers; NumPy's for a NumPy mask.
-
-    Raises:
-        ValueError: if `kind` is neither.
+    Of an empty mask it is the image's; NumPy's integers for a NumPy mask. `ValueError`
+    if `kind` is neither.
     """
     require_choice("frame", kind, get_args(FrameKind))
     xp = _numpy_of(mask)
@@ -197,17 +162,9 @@ def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:
 def context_cells(
     rows: Array, columns: Array, frame: Frame, config: ModelConfig
 ) -> tuple[Array, Array]:
-    """Where pixels lie on the grid of the contexts of a frame.
+    """Where pixels `[P]` of the image lie on the contexts' grid, in cells, `[P]` each.
 
-    Args:
-        rows: of the pixels in the image, `[P]`, integers.
-        columns: of the pixels, `[P]`, integers.
-        frame: what was encoded.
-        config: the network's configuration.
-
-    Returns:
-        Rows and columns in cells, `[P]` each; 0 is the centre of the first cell, or the
-        first node.
+    0 is the centre of the first cell, or the first node.
     """
     offset = 0.0 if config.reads_at_corners else 0.5
     # Of cells the first one's centre is place 0, of nodes the first one, at the border.
@@ -221,27 +178,14 @@ def context_cells(
 
 
 def normalize_images(images: Array, mask: Array) -> Array:
-    """Divides each image by its mean over masked pixels and channels; zero outside.
-
-    Args:
-        images: `[N, H, W, 3]`.
-        mask: `[H, W]`.
-
-    Returns:
-        `[N, H, W, 3]`; an all-black image stays black.
-    """
+    """Divides images `[N, H, W, 3]` by their means over the mask; zero outside."""
     inside = mask.astype(bool)[..., None]
     means = image_means(images, mask)
     return jnp.where(inside[None], images, 0) / means[:, None, None, None]
 
 
 def image_means(images: Array, mask: Array) -> Array:
-    """Each image's mean over masked pixels and channels, or 1 where that is 0: `[N]`.
-
-    Args:
-        images: `[N, H, W, 3]`.
-        mask: `[H, W]`.
-    """
+    """Each image's mean over masked pixels and channels, 1 where that is 0: `[N]`."""
     inside = mask.astype(bool)[..., None]
     count = jnp.maximum(jnp.sum(inside) * images.shape[-1], 1)
     total = jnp.sum(jnp.where(inside[None], images, 0), axis=(1, 2, 3))
@@ -252,20 +196,11 @@ def image_means(images: Array, mask: Array) -> Array:
 def canonical_images(
     images: Array, mask: Array, frame: Frame, size: int, antialias: bool = False
 ) -> Array:
-    """The frame's part of the images, resized for the encoder.
+    """The frame's part of the images, resized for the encoder: `[N, s, s, 4]`.
 
     Bilinear with half-pixel centres; as a product with the separable weights, which
-    moves with the frame and has cheap gradients.
-
-    Args:
-        images: `[N, H, W, 3]`, normalised, zero outside the mask.
-        mask: `[H, W]`.
-        frame: which square.
-        size: the canonical size s.
-        antialias: average what falls between the cells, over the mask only.
-
-    Returns:
-        `[N, s, s, 4]`: images times mask, and the mask.
+    moves with the frame and has cheap gradients. With antialiasing, what falls between
+    the cells is averaged, over the mask only. The last channel is the mask.
     """
     dtype, (height, width) = images.dtype, mask.shape
     rows = resize_weights(frame.top, frame.side, size, height, antialias, dtype)
@@ -292,10 +227,7 @@ def canonical_images(
 def encoder_images(
     images: Array, mask: Array, frame: Frame, config: ModelConfig
 ) -> Array:
-    """What the encoder sees in a frame: `[N, s, s, 4]`, and details if it sees any.
-
-    `images [N, H, W, 3]` are normalised, `mask [H, W]` is bool.
-    """
+    """What the encoder sees in a frame: `[N, s, s, 4]`, and details if it sees any."""
     sizes = (1, 2) if config.sees_details else (1,)
     size, antialias = config.canonical_size, config.antialias
     seen = (canonical_images(images, mask, frame, n * size, antialias) for n in sizes)
@@ -331,19 +263,10 @@ def resize_weights(
     antialias: bool,
     dtype: Any = np.float32,
 ) -> Array:
-    """Bilinear weights of an axis' pixels for the cells that a stretch becomes.
+    """Bilinear weights of an axis' pixels for a stretch in cells: `[size, length]`.
 
-    Args:
-        start: the stretch's first pixel.
-        side: its length in pixels.
-        size: how many cells it becomes.
-        length: pixels of the axis.
-        antialias: widen the weights to the cells where these are larger than pixels.
-        dtype: of the weights.
-
-    Returns:
-        `[size, length]`; rows sum to 1 where nothing of their reach is cut off. NumPy's
-        for a NumPy start.
+    Rows sum to 1 where nothing of their reach is cut off; NumPy's for a NumPy start.
+    Antialiasing widens them to the cells where these are larger than pixels.
     """
     xp = _numpy_of(start)
     start, side = xp.asarray(start, dtype), xp.asarray(side, dtype)
@@ -369,8 +292,8 @@ def _resized(
 ) -> tuple[np.ndarray, float]:
     """A photograph's masked light in the frame's cells, and its sum over all pixels.
 
-    `image [H, W, 3]`, `mask [H, W]`, weights of rows `[s, H]` and columns `[s, W]`;
-    returns `[s, s, 4]`, of which the last channel is how far the mask covers a cell.
+    Of weights `[s, H]` and `[s, W]`: `[s, s, 4]`, of which the last channel is how far
+    the mask covers a cell.
     """
     rows, columns = weights
     inner = slice(max(0, int(frame.left)), int(frame.left) + int(frame.side))
