@@ -164,11 +164,7 @@ class Desk:
         self.warm(len(found["names"]))
 
     async def cut(self, item: Object, box: tuple[float, ...]) -> None:
-        """Puts the object in a box of the picture into `pictures/cut.png`.
-
-        Raises:
-            InputError: if nothing is found there.
-        """
+        """Puts what is found in a box of the picture into `pictures/cut.png`."""
         await self._gathering.call(
             *(work.cut, item.pictures / "picture.jpg", box),
             item.pictures / "cut.png",
@@ -186,11 +182,7 @@ class Desk:
     # Estimates.
 
     def estimate(self, item: Object, name: str, options: work.Choices) -> None:
-        """Puts an object at the end of the list.
-
-        Raises:
-            InputError: if something is missing.
-        """
+        """Puts an object at the end of the list, if nothing is missing."""
         if item.state == "draft" and _unread(item):
             raise InputError("the photographs are still being read")
         if item.state != "draft" or item.found is None:
@@ -250,11 +242,7 @@ class Desk:
                 item.save()
 
     async def make_export(self, item: Object, wanted: exports.Wanted) -> dict[str, Any]:
-        """Makes a file for a purpose from an object's results; see `exports.export`.
-
-        Raises:
-            InputError: in words that name no folder of this machine.
-        """
+        """Makes a file for a purpose; see `exports.export`."""
         results = Path(item.target)
         name = clean(item.name, longest=60) or "object"
         try:

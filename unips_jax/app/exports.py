@@ -21,25 +21,15 @@ _MOST_MM = 1e6
 
 @dataclasses.dataclass(frozen=True)
 class Wanted:
-    """What a visitor asks for.
+    """What a visitor asks for."""
 
-    Attributes:
-        purpose: of `SUFFIXES`.
-        directx: green is down in the model's normal map.
-        longest_mm: the object's longest side; None if it is not known.
-    """
-
-    purpose: str
-    directx: bool = False
-    longest_mm: float | None = None
+    purpose: str  # of `SUFFIXES`
+    directx: bool = False  # green is down in the model's normal map
+    longest_mm: float | None = None  # the object's longest side, if known
 
 
 def wanted(asked: dict[str, Any]) -> Wanted:
-    """What JSON asks for.
-
-    Raises:
-        ValueError: if it asks for nothing that there is.
-    """
+    """What JSON asks for; `ValueError` if there is no such thing."""
     longest = asked.get("longest_mm")
     if asked.get("purpose") not in SUFFIXES:
         raise ValueError("no such purpose")
@@ -60,23 +50,11 @@ def export(
     *,
     report: Report,
 ) -> dict[str, Any]:
-    """Writes a file for a purpose, named as the object.
+    """Writes a file for a purpose, in place of an earlier one.
 
-    Args:
-        chosen: the photographs: the model has their mean colours where the results
-            have no base colour.
-        results: the object's folder of results.
-        place: folder for the file; one of its name is replaced.
-        name: of the object, fit for files.
-        wanted: the visitor's wishes.
-        max_pixels: of a photograph.
-        report: of progress.
-
-    Returns:
-        "file", its name, and what is known of its size.
-
-    Raises:
-        InputError: if results are gone or changed, or give no surface.
+    The model has the photographs' mean colours where the results have no base colour.
+    Returns "file", its name, and what is known of its size. `InputError` if results are
+    gone or changed, or give no surface.
     """
     from unips_jax.io.normal_maps import read_normal_map
     from unips_jax.io.record_schema import load_record

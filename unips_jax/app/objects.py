@@ -29,63 +29,42 @@ OVER = ("done", "failed", "cancelled", "interrupted")
 
 @dataclasses.dataclass
 class Photograph:
-    """A file of an object.
+    """A file of an object."""
 
-    Attributes:
-        file: its name in `photographs/`.
-        name: what the visitor calls it.
-        bytes: its size.
-        state: "new" (not looked at), "used", "mask" or "aside".
-        why: a code, where it is set aside; see `strings.json`.
-        detail: more of that, in a few words.
-        facts: size and type of the picture, and how its values encode light.
-    """
-
-    file: str
-    name: str
+    file: str  # its name in `photographs/`
+    name: str  # what the visitor calls it
     bytes: int = 0
-    state: str = "new"
-    why: str = ""
-    detail: str = ""
+    state: str = "new"  # or "used", "mask", "aside"
+    why: str = ""  # it is set aside, a code; see `strings.json`
+    detail: str = ""  # more of that, in a few words
+    # size, type and transfer
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass
 class Object:
-    """Photographs, and what became of them.
+    """Photographs, and what became of them."""
 
-    Attributes:
-        id: unguessable; the folder's name.
-        folder: its place on disk.
-        state: "draft", "waiting", "running", or one of `OVER`.
-        mask: "auto" (the one found), "drawn", "whole" (all of the image) or "empty".
-        found: what was found in the photographs that are used; see `work.gather`.
-        version: changes with the photographs; `found_version` is that of `found`.
-        problem: why the photographs can't be used together, one line.
-        options: the visitor's choices; see `work.Choices`.
-        target: the results' folder.
-        error: why the estimate failed, one line.
-        removed: when the visitor removed it; 0 if not.
-    """
-
-    id: str
+    id: str  # unguessable; the folder's name
     folder: Path
     name: str = "object"
-    state: str = "draft"
+    state: str = "draft"  # "waiting", "running", or one of `OVER`
     photographs: list[Photograph] = dataclasses.field(default_factory=list)
-    mask: str = "auto"
+    mask: str = "auto"  # or "drawn", "whole" (all of the image), "empty"
+    # in the photographs that are used; see `work.gather`
     found: dict[str, Any] | None = None
-    version: int = 0
+    version: int = 0  # changes with the photographs; `found_version` is that of `found`
     found_version: int = -1
-    problem: str = ""
+    problem: str = ""  # why the photographs can't be used together, one line
+    # see `work.Choices`
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
-    target: str = ""
-    error: str = ""
+    target: str = ""  # the results' folder
+    error: str = ""  # why the estimate failed, one line
     findings: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     created: float = 0.0
     asked: float = 0.0
     seconds: float = 0.0
-    removed: float = 0.0
+    removed: float = 0.0  # when the visitor did that
 
     @property
     def inbox(self) -> Path:
@@ -123,11 +102,7 @@ class Object:
         self.save()
 
     def save(self) -> None:
-        """Writes all of it.
-
-        Raises:
-            InputError: if the file system refuses.
-        """
+        """Writes all of it."""
         record = dataclasses.asdict(self)
         del record["folder"]
         text = json.dumps(record, ensure_ascii=False)
@@ -164,11 +139,7 @@ class Objects:
         return sorted(there, key=lambda item: -(item.asked or item.created))
 
     def begin(self) -> Object:
-        """A new object without photographs.
-
-        Raises:
-            InputError: if the file system refuses.
-        """
+        """A new object without photographs."""
         key = secrets.token_urlsafe(18)
         item = Object(key, self.place / key, created=time.time())
         try:
@@ -228,10 +199,8 @@ class Objects:
 def opened(results: Path, *, days: float) -> Iterator[Objects]:
     """The objects below a folder, for as long as the block runs and for us alone.
 
-    Estimates that a killed server had begun are "interrupted".
-
-    Raises:
-        InputError: if another server uses the folder, or it can't be written.
+    Estimates that a killed server had begun are "interrupted". `InputError` if another
+    server uses the folder, or it can't be written.
     """
     place = results / ".app"
     try:

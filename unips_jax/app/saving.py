@@ -62,10 +62,7 @@ class Saving:
         return file_answer(path, f"{Path(item.target).name}.zip")
 
     async def export(self, request: Request, item: Object) -> Response:
-        """`{"purpose": blender, print or archive, "directx": ..., "longest_mm": ...}`.
-
-        Makes the file, and gives its name, size and unit.
-        """
+        """Makes a file from JSON, `exports.Wanted`; gives its name, size and unit."""
         if item.state != "done":
             raise Refused(404, "gone")
         asked = await json_of(request)

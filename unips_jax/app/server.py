@@ -107,16 +107,8 @@ def serve(
 ) -> None:
     """Serves the application until it is interrupted.
 
-    Args:
-        host: address to listen on.
-        port: None: 8080, or the next that is free.
-        results: folder for the results.
-        show: open a browser.
-        weights: shipped, or a file.
-        limits: bounds on what visitors use.
-
-    Raises:
-        InputError: if the port is used, or the folder can't be.
+    Without a port it takes 8080, or the next that is free. `InputError` if the port is
+    used, or the folder can't be.
     """
     limits = limits or Limits()
     key = secrets.token_urlsafe(18)
@@ -154,11 +146,7 @@ def serve(
 
 @contextlib.contextmanager
 def listening(host: str, port: int | None):  # noqa: ANN201
-    """A socket that listens there, before anybody is told so.
-
-    Raises:
-        InputError: if the port is used, or there is no such address.
-    """
+    """A socket that listens there; `InputError` if it can't."""
     ports = range(PORT, PORT + _TRIED) if port is None else [port]
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for number in ports:

@@ -1,6 +1,7 @@
 """What the application does with photographs, each call in a `Worker`'s process.
 
-These call what the commands call: `unips_jax.estimation`, `io`, `capture`.
+These call what the commands call: `unips_jax.estimation`, `io`, `capture`. Each reports
+its progress to `report`, and what can't be done is an `InputError`.
 """
 
 import dataclasses
@@ -25,17 +26,12 @@ _THUMBNAIL, _PICTURE = 240, 1024
 
 @dataclasses.dataclass(frozen=True)
 class Choices:
-    """What the visitor may choose of `FolderOptions`.
-
-    Attributes:
-        perspective: depth as of a camera with the focal length of the EXIF data.
-        mesh: GLB, with the object's colours.
-    """
+    """What the visitor may choose of `FolderOptions`."""
 
     transfer: str = "auto"
-    perspective: bool = False
+    perspective: bool = False  # focal length of the EXIF data
     register: bool = False
-    mesh: bool = True
+    mesh: bool = True  # GLB, with the object's colours
     fast: bool = False
     lights: bool = False
     base_color: bool = False
@@ -45,11 +41,7 @@ class Choices:
 
 @dataclasses.dataclass(frozen=True)
 class Chosen:
-    """Files of an object's folder: the photographs, their mask, and what is not used.
-
-    Attributes:
-        mask: of the folder, or None.
-    """
+    """Files of an object's folder: the photographs, their mask, what is not used."""
 
     folder: Path
     photographs: tuple[str, ...]
@@ -74,14 +66,9 @@ class Chosen:
 def look(
     photograph: Path, thumbnail: Path, max_pixels: int, *, report: Report
 ) -> dict[str, Any]:
-    """Decodes a photograph, and writes a small picture of it.
+    """The facts of a photograph, which is decoded; writes a small picture of it.
 
-    Returns:
-        Its facts; of a video or a TIFF of several pages the "frames": files that take
-        its place in its folder.
-
-    Raises:
-        InputError: if it can't be read.
+    Of a video or a TIFF of several pages the "frames": files that take its place.
     """
     from unips_jax.capture.unpack import is_container
 
@@ -129,18 +116,9 @@ def gather(
 ) -> dict[str, Any]:
     """Reads the photographs together, and looks for what is wrong with them.
 
-    What can't be used with the others is left out.
-
-    Args:
-        chosen: the files.
-        pictures: receives `picture.jpg`, to draw the mask over, and `mask.png`, of its
-            size, if one is given or suggested.
-        options: of `FolderOptions`: transfer, register.
-        max_pixels: of a photograph.
-        report: of progress.
-
-    Raises:
-        InputError: if none can be used.
+    What can't be used with the others is left out. `pictures` receives `picture.jpg`,
+    to draw the mask over, and `mask.png`, of its size, if one is given or suggested.
+    Options are those of `FolderOptions`: transfer, register.
     """
     from unips_jax.capture.masks import mask_picture
     from unips_jax.estimation.reading import chosen_photographs, read_and_look
@@ -209,11 +187,7 @@ def _without(chosen: Chosen, name: str) -> Chosen:
 
 
 def cut(picture: Path, box: Sequence[float], target: Path, *, report: Report) -> None:
-    """Finds the object in a box (left, top, right, bottom; pixels), by GrabCut.
-
-    Raises:
-        InputError: if nothing is found.
-    """
+    """Finds the object in a box (left, top, right, bottom; pixels), by GrabCut."""
     from unips_jax.capture.grabcut import grabcut_mask
 
     mask = grabcut_mask(read_image_file(picture).pixels, box=tuple(box))
@@ -269,21 +243,9 @@ def estimate(
 ) -> list[dict[str, Any]]:
     """Estimates normals, depth, mesh and page, as `unips estimate` does.
 
-    Args:
-        chosen: the files.
-        target: folder for the results.
-        mask: "auto", "none", or the drawn one, white on the object, of any size.
-        preview: receives a picture of coarse normals while the rest is done.
-        choices: the visitor's.
-        weights: shipped, or a file.
-        max_pixels: of a photograph.
-        report: of progress.
-
-    Returns:
-        What was found wrong with the photographs.
-
-    Raises:
-        InputError: as `estimate_folder`.
+    The mask is "auto", "none", or the drawn one, white on the object, of any size;
+    `preview` receives a picture of coarse normals while the rest is done. Returns what
+    was found wrong with the photographs.
     """
     from unips_jax.estimation.folders import estimate_folder
 

@@ -44,9 +44,6 @@ class Worker:
         """Calls a module's function there, in turn; its keyword `report` is a `Report`.
 
         A call that is cancelled, or takes longer than `seconds`, ends the process.
-
-        Raises:
-            InputError: if the function did, took too long, or the process died.
         """
         async with self._lock:
             try:

@@ -33,7 +33,7 @@ def normal_spread(
     """The spread of normals over halves of the photographs, in degrees: `[H, W]`.
 
     Costs twice what the estimate costs. Arguments are those of `estimate_photographs`;
-    `normals` `[H, W, 3]` is the estimate from all photographs, at least two, which are
+    `normals [H, W, 3]` is the estimate from all photographs, at least two, which are
     halved `splits` times. 0 outside the mask.
     """
     if len(images) < 2:

@@ -47,8 +47,8 @@ def estimate_extras(
 ) -> Extras:
     """Estimates lights and confidence, as far as the options want them.
 
-    Images are `[N, H, W, 3]`, uint8, uint16 or float32; `found` is their estimate;
-    `rig` are lights, or directions, known from elsewhere (`lighting.rig`).
+    `found` is the estimate of `images [N, H, W, 3]`; `rig` are lights, or directions,
+    known from elsewhere (`lighting.rig`).
     """
     lights, confidence, near = None, None, None
     if options.lamp_distance is not None:
@@ -124,10 +124,7 @@ def write_extras(
 def write_confidence(
     folder: Path, spread: np.ndarray, mask: np.ndarray
 ) -> dict[str, Any]:
-    """Writes `confidence.exr`, `confidence.png` and `unreliable.png`.
-
-    `spread` is `[H, W]`, in degrees. Returns what levels mean, and the mean.
-    """
+    """Writes the spread `[H, W]`, in degrees; returns levels' meaning and the mean."""
     comments = "spread of the normals over halves of the photographs, degrees; "
     comments += "NaN: no surface"
     outside = np.where(mask, spread, np.nan)

@@ -1,7 +1,5 @@
 """Folders of photographs to folders of results.
 
-Read and advise (`reading`), estimate, write (`writing`).
-
 Transfer function: by the files' own colour tags, else by their type; see `io.color`.
 `FolderOptions.transfer` overrules it.
 """
@@ -98,17 +96,15 @@ def estimate_folder(
     """Estimates the normals of a folder of photographs, and writes them.
 
     Args:
-        folder: of photographs; or a file that holds them, a video or a TIFF of several
-            pages.
-        target: folder for the results: `normals.png` (16 bit), `normals.npy`,
-            `sheet.png` (a picture to judge the result by) and `normals.json` (how it
-            came about). All of these appear, or none.
+        folder: or a file that holds photographs, a video or a TIFF of several pages.
+        target: folder for `normals.png` (16 bit), `normals.npy`, `sheet.png` (a picture
+            to judge the result by) and `normals.json` (how it came about): all of
+            these, or none.
         network: from `load_network`.
         options: how to read and what to write.
         overwrite: estimate anew even if the target holds what the same photographs,
             mask, weights, options and code gave.
-        verbose: report on standard output what is done; warnings about the photographs
-            and progress go to standard error.
+        verbose: print what is done; warnings and progress go to standard error.
         on_progress: called with the numbers of pixels done and to do, first when the
             photographs are read.
         on_preview: called early with normals of a coarse grid, `[h, w, 3]`.

@@ -45,11 +45,10 @@ _PACKAGE = Path(__file__).parents[1]
 def kept(
     function: Callable[..., tuple[Any, ...]], *, rarely_run: bool = False
 ) -> Callable[..., tuple[Any, ...]]:
-    """`jax.jit`, whose programs are kept between runs.
+    """`jax.jit` of a function of pytrees and static keywords, kept between runs.
 
-    `function` is of pytrees of arrays, and of static keyword arguments; it returns a
-    tuple of arrays. `rarely_run`: compiled in three quarters of the time, to a program
-    that is no slower as long as products take most of it.
+    `rarely_run`: compiled in three quarters of the time, to a program that is no slower
+    as long as products take most of it.
     """
     name = f"{function.__module__}.{function.__qualname__}"
     lock = threading.Lock()

@@ -227,8 +227,7 @@ def _side_by_side(
 ) -> Iterator[tuple[_T, _R]]:
     """Items and results, in order, with a thread for every core.
 
-    One call alone does not keep two cores busy: its products are small, and between
-    calls the cores wait.
+    One call alone does not keep two cores busy: its products are small.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
     with ThreadPoolExecutor(min(cores, 8)) as pool:

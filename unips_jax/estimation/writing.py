@@ -44,17 +44,9 @@ def write_estimate(
 ) -> dict[str, Any]:
     """Writes normals, their sheet and their record; all files appear, or none.
 
-    Args:
-        target: folder for the results.
-        estimate: what to write.
-        options: which files, and the maps' convention.
-        truth: `[H, W, 3]`, the true normals: the sheet shows the errors.
-        facts: more of the record.
-        more: writes further files into the folder it is given.
-        verbose: print what was written.
-
-    Returns:
-        What `normals.json` holds, less the files' hashes.
+    With the true normals `[H, W, 3]` the sheet shows the errors; `facts` go into the
+    record, and `more` writes further files into the folder that it is given. Returns
+    what `normals.json` holds, less the files' hashes.
     """
     record = {**estimate.record, **(facts or {})}
     with appearing_at_once(target) as place:
