@@ -399,3 +399,23 @@ def test_elongated_objects_reach_the_frame_too():
         assert fits and np.abs(sides).max() == pytest.approx(1, abs=0.01)
         np.testing.assert_allclose(np.sum(sides, 1), 0, atol=0.02)
     assert not framing.fit(corners * [1, 1, 4], 35.0)[2]  # a needle in the eye
+
+
+def test_what_blender_prints_while_it_is_imported_is_no_answer(tmp_path):
+    stubs = {
+        "bpy": "import os; os.write(1, b'Unable to initialise audio\\n')\n"
+        "class app: version_string = 'stub'",
+        "bmesh": "",
+        "mathutils": "Euler = Matrix = Quaternion = Vector = None",
+    }
+    for name, text in stubs.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    folder = Path(blender_process.__file__).parent
+    done = subprocess.run(
+        [sys.executable, "-m", "blender.worker"],
+        env={**os.environ, "PYTHONPATH": f"{folder}:{tmp_path}"},
+        input='{"do": "version"}\n',
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert json.loads(done.stdout)["ok"]["blender"] == "stub"

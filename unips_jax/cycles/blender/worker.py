@@ -14,11 +14,15 @@ import sys
 import traceback
 from typing import Any
 
-import bpy
-import numpy as np
-from mathutils import Matrix, Quaternion, Vector
+# Blender prints from C++ to file descriptor 1, some versions while they are imported.
+_ANSWERS = os.fdopen(os.dup(1), "w")
+os.dup2(2, 1)
 
-from . import framing, materials, shapes
+import bpy  # noqa: E402
+import numpy as np  # noqa: E402
+from mathutils import Matrix, Quaternion, Vector  # noqa: E402
+
+from . import framing, materials, shapes  # noqa: E402
 
 PASSES = ("baseColor", "roughness", "metal")
 
@@ -236,8 +240,6 @@ def _render(path: str, *, size: int, samples: int, denoise: bool, seed: int) -> 
 
 def main() -> None:
     """Answers requests until standard input ends."""
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # Blender prints from C++, to file descriptor 1
     studio = Studio(int(sys.argv[1]) if len(sys.argv) > 1 else 0)
     for line in sys.stdin:
         request = json.loads(line)
@@ -247,7 +249,7 @@ def main() -> None:
         except Exception as error:  # the driver decides; the next object may be fine
             traceback.print_exc()
             answer = {"error": f"{type(error).__name__}: {error}"}
-        print(json.dumps(answer), file=answers, flush=True)
+        print(json.dumps(answer), file=_ANSWERS, flush=True)
 
 
 if __name__ == "__main__":
