@@ -47,10 +47,7 @@ class Turned(NamedTuple):
 
 
 def misfit(integrabilities: Sequence[float]) -> str:
-    """A line on a method whose slopes do not fit together; empty where they do.
-
-    For the integrabilities of its objects see `io.normal_axes`.
-    """
+    """A line on a method whose objects' slopes do not fit together, else empty."""
     decided = [x for x in integrabilities if abs(x) > _DECIDING]
     if not decided or sum(x < 0 for x in decided) < _AGREEING * len(decided):
         return ""

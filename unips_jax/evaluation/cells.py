@@ -78,11 +78,9 @@ def columns(names: Iterable[str], labels: Iterable[str] = ()) -> list[Column]:
 def row(
     *values: Value, kind: Kind = "own", method: str = "", best: Iterable[int] = ()
 ) -> Row:
-    """A row of bare values, one for each column.
+    """A row of bare values, one for each column, named by its first.
 
-    Args:
-        method: the label of the method that the row is of, named by its first cell.
-        best: places of the cells to set in bold.
+    Cells of `best` are bold; `method` is the label of the row's method.
     """
     best = set(best)
     cells = [Cell(value, i in best) for i, value in enumerate(values)]

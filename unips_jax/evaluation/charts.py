@@ -93,10 +93,7 @@ def _interval_chart(results: Results) -> Chart:
 
 
 def _images_chart(results: Results, lighting: str | None) -> Chart:
-    """Mean angular error against the number of images, under one lighting or all.
-
-    With several seeds a bar spans a standard deviation over them on either side.
-    """
+    """Mean angular error against the number of images, under one lighting or all."""
     figure, axes = _figure()
     legend: list[tuple[str, Style]] = []
     ticks: set[float] = set()

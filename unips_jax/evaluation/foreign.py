@@ -52,11 +52,7 @@ def from_module(request: str) -> Variant:
 
 
 def from_package(request: str, value: str) -> Variant:
-    """The method of an installed package.
-
-    `request` is `name` or `name:option=value,...`, `value` the `module:factory` that
-    the package declares.
-    """
+    """A package's method, `module:factory`, requested as `name:option=value,...`."""
     name, _, text = request.partition(":")
     module, _, factory = value.partition(":")
     return _made(request, name, module, factory, parse_options(request, text))
@@ -114,10 +110,7 @@ def _factory(
 
 
 def sources_hash(file: Path | None) -> str:
-    """A hash of a module's source, and of its package's where it is in one.
-
-    Results of a method whose code changed are computed again.
-    """
+    """A hash of a module's source, and of its package's where it is in one."""
     digest = hashlib.blake2b(digest_size=8)
     if file is not None:
         package = (file.parent / "__init__.py").is_file()

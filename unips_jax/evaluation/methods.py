@@ -239,9 +239,10 @@ def _unips(
 
 
 def roughly_known(directions: np.ndarray, degrees: float) -> np.ndarray:
-    """Directions `[N, 3]` with a typical error, as `estimate_normals` takes them.
+    """Directions `[N, 3]` with errors whose root mean square is `degrees`.
 
-    The errors are the same for the same number of lights.
+    Their length is the cosine of that, as `estimate_normals` takes them. The errors are
+    the same for the same number of lights.
     """
     error = np.radians(degrees)
     noise = np.random.default_rng(len(directions)).normal(size=directions.shape)

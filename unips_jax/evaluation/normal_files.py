@@ -87,11 +87,7 @@ class NormalFiles:
         return "" if path is None else bytes_hash(files.read_bytes(path))
 
     def read(self, path: Path, masks: list[np.ndarray]) -> np.ndarray:
-        """Normals of a file: `[H, W, 3]`, float32, unit length, in our convention.
-
-        Their size must be that of the `masks`: the photographs', or what the protocol
-        shows.
-        """
+        """Unit normals `[H, W, 3]` of a file, in our convention, of the masks' size."""
         normals = read_any(path)[..., list(self.order)] * np.array(
             self.signs, np.float32
         )
@@ -111,10 +107,7 @@ class NormalFiles:
     def method(
         self, name: str, subset: Subset, crop: Callable[[np.ndarray], np.ndarray]
     ) -> Callable[[Observed], np.ndarray]:
-        """The normals of one object as a method.
-
-        `crop` brings normals of the photographs' size to what the protocol shows.
-        """
+        """One object's normals as a method; `crop` brings them to what is shown."""
 
         def method(observed: Observed) -> np.ndarray:
             path = self.find(name, subset)

@@ -109,10 +109,7 @@ def subsets_of(plan: Plan, index: int) -> Iterator[tuple[Subset, np.ndarray]]:
 
 
 def check_normal_files(plan: Plan) -> None:
-    """Reads the normals that other programs made, before any work.
-
-    `InputError` if a method has none for any object, or a file cannot be used.
-    """
+    """Reads the normals that other programs made, before any work."""
     for variant in plan.variants:
         if variant.files is None:
             continue

@@ -63,7 +63,7 @@ class Box(NamedTuple):
 
 
 def choose_images(count: int, total: int, *, seed: int) -> np.ndarray:
-    """The images of a subset: `[count]` increasing indices below `total`.
+    """A subset of the images: `[count]` increasing indices below `total`.
 
     Subsets of one seed are nested: the 4 images are among the 8. The draw is the same
     for every object with as many images.
@@ -90,8 +90,7 @@ def show(
 ) -> Case:
     """Prepares an object, shown by the images whose indices are chosen.
 
-    `crop` takes `crop_focal_ratio`, focal length over the crop's side, where the
-    object's camera is not known.
+    `crop_focal_ratio`: focal length over the crop's side, where no camera is known.
     """
     chosen = np.asarray(chosen)
     lights = item.lights

@@ -119,10 +119,7 @@ DATA = {
 
 
 def mean(row: Published, evaluated: Sequence[str] = ()) -> float:
-    """The row's printed mean, or that of its scores.
-
-    Where only some of a row's objects or lightings were evaluated, the mean over those.
-    """
+    """The row's printed mean, or that of its scores, of what was evaluated."""
     named = [name for name in row.scores if name != "mean"]
     shown = [row.scores[name] for name in named if name in evaluated]
     if shown and len(shown) < len(named):
@@ -135,8 +132,7 @@ def mean(row: Published, evaluated: Sequence[str] = ()) -> float:
 def comparable(rows: Sequence[Published], evaluated: Sequence[str]) -> list[Published]:
     """The rows whose mean compares with one over these objects and lightings.
 
-    Where a benchmark's scores are published by object or lighting and only some were
-    evaluated, rows that print nothing but a mean are left out.
+    Rows that print nothing but a mean are left out where others were evaluated too.
     """
     known = {name for row in rows for name in row.scores} - {"mean"}
     if not known & set(evaluated) or known <= set(evaluated):

@@ -81,10 +81,7 @@ def _over_seeds(results: Sequence[Result]) -> list[Result]:
 
 
 def _mean(results: Sequence[Result]) -> Result:
-    """One entry's results with several seeds as one; without a score if one lacks it.
-
-    A mean over the seeds with which a method could run would compare with no other.
-    """
+    """One entry's results with several seeds as one; no score if one lacks it."""
     scores = [result.score for result in results if result.score]
     every = len(scores) == len(results)
     names = set.intersection(*(set(result.measures) for result in results))

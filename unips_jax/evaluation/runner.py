@@ -1,7 +1,7 @@
-"""Runs every method on every object, once.
+"""Runs every method on every object, once, in the order of the tables.
 
-The order of work is that of the tables; processes that share a work folder pass over
-each other's tasks and wait for them at the end.
+Processes that share a work folder pass over each other's tasks and wait for them at the
+end.
 """
 
 import dataclasses
@@ -52,10 +52,7 @@ class Result:
 
 
 def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
-    """Finishes all tasks, here or in other processes that share the store.
-
-    Yields each task when its result is there.
-    """
+    """Finishes all tasks, here or in other processes; yields each when it is done."""
     waiting = list(tasks)
     while waiting:
         left: list[Task] = []
@@ -149,11 +146,7 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
 
 
 def estimate(variant: Variant, case: Case) -> Estimated:
-    """Runs a method: normals `[h, w, 3]`, float32, and its figures.
-
-    Raises `Unsupported` if the method lacks something, `ValueError` if what it gives
-    has another shape.
-    """
+    """Runs a method: normals `[h, w, 3]`, float32, and its figures."""
     if variant.oracle and case.normals is None:
         raise Unsupported("sign=oracle: needs the true normals, which are withheld")
     found = variant.run(case.observed)

@@ -71,10 +71,7 @@ class Store:
     def commit(
         self, name: str, record: Mapping[str, Any], normals: np.ndarray | None
     ) -> None:
-        """Puts a result in place, JSON values. The caller has claimed it.
-
-        `normals` are `[H, W, 3]`, unit or zero, kept as a 16-bit PNG; see `io.normals`.
-        """
+        """Puts a result, JSON values, and its normals in place; it has been claimed."""
         path = self.path(name)
         if normals is not None:
             pixels = encode_normals(normals)

@@ -25,8 +25,7 @@ def as_float(image: np.ndarray) -> np.ndarray:
 class Encoding:
     """How a file's values encode light, and by which rule that is known.
 
-    `table` holds what each integer is to be replaced by so that the transfer function
-    holds; None where it holds already.
+    `table`: what integers are to be replaced by for the transfer function to hold.
     """
 
     transfer: Transfer
@@ -87,16 +86,12 @@ def encoding_of(
 ) -> Encoding:
     """How a file's values encode light: by its colour profile, tags or type, in turn.
 
-    A curve other than linear and sRGB, such as ProPhoto's, is made sRGB by a table; one
+    `code` is a key of `CURVES`, `gamma` an exponent such as 1 / 2.2; 0 where unknown. A
+    curve other than linear and sRGB, such as ProPhoto's, is made sRGB by a table; one
     of a transfer code has 16 bits, since PQ puts all that papers reflect below 2%.
     Without any tag 8 bit is sRGB, since cameras, phones and programs write it so, and
     16 bit and float linear, since raw converters for measurement, data sets and
     renderers write them so.
-
-    Args:
-        code: a key of `CURVES`; 0 where unknown.
-        gamma: exponent by which values encode light, such as 1 / 2.2; 0 where unknown.
-        srgb: whether another tag is sRGB's.
     """
     curve = icc_curve(icc)
     if curve is not None:
@@ -120,8 +115,8 @@ def encoding_of(
 def icc_curve(profile: bytes) -> np.ndarray | None:
     """Linear light over 1024 values from 0 to 1, by a profile's (green) tone curve.
 
-    None where the profile has no such curve, or is damaged. Source: ICC.1:2022, 9.2
-    (tags), 10.6 `curveType`, 10.18 `parametricCurveType`.
+    None where it has no such curve, or is damaged. Source: ICC.1:2022, 9.2, 10.6,
+    10.18.
     """
     try:
         (count,) = struct.unpack_from(">I", profile, 128)

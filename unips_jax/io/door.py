@@ -23,12 +23,7 @@ from unips_jax.errors import InputError
 
 
 class NotWritten(InputError):
-    """The file system refused to write.
-
-    Attributes:
-        reason: in its own words, such as "No space left on device".
-        errno: its number, if it has one.
-    """
+    """The file system refused to write: `reason`, in its own words, and its `errno`."""
 
     def __init__(self, path: Path, cause: Exception) -> None:
         """Names the file, the reason and the fix."""
@@ -60,11 +55,7 @@ def new_path(path: Path, *, suffix: str | None = None) -> Iterator[Path]:
     """Gives the name under which to write a file, which then gets its own.
 
     If anything fails, what was there before stays; a killed process may leave the
-    temporary file.
-
-    Args:
-        path: the file; its folder is made if it is not there.
-        suffix: of the temporary name, the file's own if None.
+    temporary file. The file's folder is made if it is not there.
     """
     # Any name may be as long as names can be.
     end = path.suffix if suffix is None else suffix
@@ -86,9 +77,7 @@ def new_path(path: Path, *, suffix: str | None = None) -> Iterator[Path]:
 def new_file(path: Path, *, sync: bool = False) -> Iterator[BinaryIO]:
     """Opens a file that is complete or absent, whatever happens; see `new_path`.
 
-    Args:
-        path: the file; its folder is made if it is not there.
-        sync: it is on the disk when it appears, even if the power fails.
+    With `sync` it is on the disk when it appears, even if the power fails.
     """
     # Readable too: NumPy then writes by methods whose errors have the reason.
     with new_path(path, suffix="") as part, part.open("w+b") as file:

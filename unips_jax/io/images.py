@@ -64,10 +64,7 @@ def read_image(path: Path) -> np.ndarray:
 def read_image_file(
     path: Path, *, vectors: bool = False, max_pixels: int = MAX_PIXELS
 ) -> ImageFile:
-    """Reads an image file. Values need not be finite.
-
-    With `vectors` it is a normal map: EXR channels X, Y, Z are taken too.
-    """
+    """Reads an image file; `vectors`: of normals. Values need not be finite."""
     data = read_bytes(path, max_pixels=max_pixels)
     return decode_image(data, path, vectors=vectors, max_pixels=max_pixels)
 
@@ -119,8 +116,7 @@ def image_header(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -> En
 def check_image(data: bytes, path: Path) -> tuple[int, int, int, np.dtype]:
     """Height, width, channels and type of an image, which is checked to be whole.
 
-    A PNG is checked by the checksums of its chunks; other formats are decoded, and
-    their values are finite.
+    A PNG by the checksums of its chunks; others are decoded, their values finite.
     """
     header = _header(data, path, False, MAX_PIXELS)
     if not header.checked:

@@ -37,7 +37,7 @@ _STYLES = (  # with commas between numbers, those in numbers need blanks too
 class LightList:
     """What a list of lights holds.
 
-    `names` are without folders; `lights` `[N, 3]`, directions, or `[N, 2]`, pixels, as
+    `names` are without folders; `lights [N, 3]`, directions, or `[N, 2]`, pixels, as
     written; `problems` what could not be used, a line each.
     """
 

@@ -56,10 +56,7 @@ def above_half(values: np.ndarray) -> np.ndarray:
 
 
 def mask_box(mask: np.ndarray, margin: int = 0) -> tuple[slice, slice]:
-    """Rows and columns of the box around a mask `[H, W]` that is not empty.
-
-    `margin` pixels more are taken on each side, where the image has them.
-    """
+    """Rows and columns of the box around a mask that is not empty, with a margin."""
     box = []
     for axis in (1, 0):
         inside = np.flatnonzero(mask.any(axis=axis))
@@ -69,7 +66,7 @@ def mask_box(mask: np.ndarray, margin: int = 0) -> tuple[slice, slice]:
 
 
 def lit_pixels(brightest: np.ndarray) -> np.ndarray:
-    """Where photographs show something: not black, in 8 bits nor nearly so next to it.
+    """Where photographs are neither black, in 8 bits, nor nearly so next to it.
 
     `brightest` is `[H, W]`, the largest value over photographs and colours.
     """

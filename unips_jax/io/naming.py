@@ -22,9 +22,9 @@ _BETTER = (  # of a photograph in two formats; a camera's raw file is the best
 
 
 def each_once(files: list[Path], left_out: dict[str, list[str]]) -> list[Path]:
-    """Each photograph once: of two formats the one that most have, or the better.
+    """Each photograph once, of names that differ in their suffix alone.
 
-    Names that differ in their suffix alone are one photograph. `left_out` receives the
+    Of two formats the one that most have, or the better. `left_out` receives the
     others' names, by reason.
     """
     stems: dict[str, list[Path]] = {}

@@ -28,8 +28,7 @@ _OTHERS: dict[NormalMap, tuple[NormalMap, ...]] = {
 def integrability(normals: np.ndarray) -> float:
     """The correlation of dp/dy and dq/dx, above 0 where normals are a surface's.
 
-    From -1 to 1; 0 where fewer than 200 squares of 2 x 2 pixels have normals that are
-    not steep. `normals` are `[H, W, 3]`, 0 where none.
+    0 where fewer than 200 squares of 2 x 2 pixels have normals that are not steep.
     """
     fine = normals[..., 2] > _STEEP
     z = np.where(fine, normals[..., 2], 1)

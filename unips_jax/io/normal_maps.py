@@ -114,11 +114,8 @@ def examine_normals(
 ) -> Examined:
     """Examines the values of a normal map, or of an array of normals.
 
-    Args:
-        values: `[H, W, 3]`, with pixels: uint8 and uint16 hold (n + 1) / 2, other
-            types n; need not be finite.
-        alpha: `[H, W]`, opaque at its type's largest value, or at 1.
-        convention: of the axes.
+    Of `[H, W, 3]`, uint8 and uint16 hold (n + 1) / 2, other types n, finite or not;
+    alpha `[H, W]` is opaque at its type's largest value, or at 1.
     """
     mended: list[str] = []
     doubts: list[str] = []
@@ -216,10 +213,7 @@ def _surface(
 
 
 def _together(far: np.ndarray, short: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """What is no surface: `far`, and what is `short` of a normal's length next to it.
-
-    A few such pixels alone are left: edges that resizing made shorter.
-    """
+    """What is no surface: `far`, and what is `short` of length 1 next to it."""
     labels, count = scipy.ndimage.label(far | short)
     large = np.bincount(labels.ravel(), minlength=count + 1) >= max(30, 1e-4 * far.size)
     near = scipy.ndimage.binary_dilation(outside, border_value=1)

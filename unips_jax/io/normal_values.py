@@ -34,8 +34,8 @@ def decode_values(
 ) -> np.ndarray:
     """Normals of any length: `[H, W, 3]`, float32, 0 where values stand for none.
 
-    `values` are uint8, uint16 or floats, `there` says which count; `mended` receives a
-    line for each departure from the usual reading.
+    `there` says which values count; `mended` receives a line for each departure from
+    the usual reading.
     """
     integers = values.dtype.kind == "u"
     top = int(np.iinfo(values.dtype).max) if integers else 1
@@ -65,8 +65,7 @@ def decode_values(
 def foreground(values: np.ndarray, there: np.ndarray) -> np.ndarray:
     """The pixels but for those of the one colour that most of the border has.
 
-    `[H, W]`, bool; `there` itself where little else would be left. Values are of the
-    order of 1.
+    `there` itself where little else would be left. Values are of the order of 1.
     """
     ring = np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
     colors, counts = np.unique(np.round(ring, 2), axis=0, return_counts=True)

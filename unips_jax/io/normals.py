@@ -64,10 +64,7 @@ def write_normals(
 
 
 def encode_normals(normals: np.ndarray) -> np.ndarray:
-    """Normals as 16-bit colours: `[H, W, 3]` uint16; see the module.
-
-    Components in [-1, 1]; what is not finite becomes 0.
-    """
+    """Normals as 16-bit colours: `[H, W, 3]` uint16; what is not finite becomes 0."""
     values = np.array(normals, np.float32)
     np.nan_to_num(values, copy=False, nan=0, posinf=0, neginf=0)
     values *= _FULL / 2

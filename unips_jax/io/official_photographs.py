@@ -32,14 +32,9 @@ def read_official(
 
     With a `normal.tif` among the photographs, the mask of a folder without its own is
     where these normals have unit length. A training folder (photographs `0*` and
-    `normal.tif`) is not cropped.
-
-    Returns:
-        images `[N, size, size, 3]` (float32, linear RGB, mean 1 inside the mask, where
-        no
-        image may be black, and 0 outside), mask `[size, size]` (bool), and normals
-        `[size,
-        size, 3]` (float32, as stored) or None.
+    `normal.tif`) is not cropped. Returns images `[N, size, size, 3]` (float32, linear
+    RGB, mean 1 inside the mask, where no image may be black, and 0 outside), the mask,
+    and the normals, as stored, or None.
     """
     first = read(selection.files[0])
     shape = first.pixels.shape[:2]

@@ -94,11 +94,8 @@ def read_capture(
 ) -> Capture:
     """Does what `read_photographs` does, opens each file once and reports more.
 
-    Args:
-        transfer: how the values encode light, in place of the files' own rule.
-        mask: `[H, W]`, bool, to be taken as it is, in place of the selection's.
-        max_pixels: of a file; all photographs together may have ten times as many.
-        read: reads a photograph, or the mask, in place of `read_image_file`.
+    `transfer` and `mask [H, W]` are taken in place of the files' own; `read` in place
+    of `read_image_file`. All photographs together may have ten times `max_pixels`.
     """
     read = read or functools.partial(read_image_file, max_pixels=max_pixels)
     stack: _Stack | None = None

@@ -114,20 +114,12 @@ def write_folder(
     depth: np.ndarray | None = None,
     name: str = "L_{:02d}.png",
 ) -> None:
-    """Writes one object; the folder appears only when it is complete.
+    """Writes one object; the folder `X.data` appears only when it is complete.
 
-    The caller has claimed it: what a killed process left of it is removed.
-
-    Args:
-        folder: `X.data`, must not exist.
-        images: `[H, W, 3]` each, linear, 1 becomes 65535.
-        mask: `[H, W]` bool.
-        normals: `[H, W, 3]`, unit inside the mask.
-        facts: for `meta.json`.
-        maps: of the material in [0, 1], `[H, W]` or `[H, W, 3]`, kept as 16-bit TIFF
-            under their names.
-        depth: `[H, W]`, kept as `depth.exr`; 0 outside the mask.
-        name: of the images' files, by number.
+    The caller has claimed it: what a killed process left of it is removed. Images are
+    `[H, W, 3]` each, linear, 1 becomes 65535; `facts` are for `meta.json`; `maps` of
+    the material in [0, 1] are kept as 16-bit TIFF under their names, depth as
+    `depth.exr`.
     """
     with writing(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -213,8 +205,8 @@ def read_object(
     Zeros below or to the right make squares of those that are none.
 
     Returns:
-        `images [N, size, size, 3]`, float32 linear light, zero outside the mask;
-        `mask [size, size]`, bool; `normals [size, size, 3]`, unit length inside.
+        `images [N, size, size, 3]`, float32 linear light, zero outside the mask; `mask
+            [size, size]`, bool; `normals [size, size, 3]`, unit length inside.
     """
     normals = read_normals(files.normals)
     mask = has_unit_length(normals)

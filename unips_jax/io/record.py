@@ -87,10 +87,7 @@ def complete_record(
     transfer_rule: str,
     warnings: list[str],
 ) -> dict[str, Any]:
-    """The content of `normals.json`, less the files' hashes.
-
-    `images` are `[N, H, W, 3]`, as the network is given them.
-    """
+    """The content of `normals.json`, less the files' hashes."""
     now = datetime.datetime.now(datetime.UTC)
     return {
         **inputs,

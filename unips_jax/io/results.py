@@ -46,10 +46,7 @@ def file_hash(file: Path) -> str:
 
 
 def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
-    """Writes `normals.json`: how these normals came about, and the files' hashes.
-
-    The other files are there already. Returns the names of all.
-    """
+    """Writes `normals.json` after the other files; returns the names of all."""
     hashes = {file.name: file_hash(file) for file in sorted(folder.iterdir())}
     write_json(folder / RECORD, {**record, "files": hashes}, indent=2)
     return sorted([*hashes, RECORD])

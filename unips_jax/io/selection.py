@@ -98,12 +98,9 @@ def select(
 ) -> Selection:
     """Finds the photographs and the mask of a folder, without reading them.
 
-    Args:
-        include: patterns such as `img_*.png`; images whose names match one are the
-            photographs, whatever they are called, and no others.
-        exclude: patterns of names to leave out, the folder's own mask's too.
-        max_images: if the folder has more photographs, this many are drawn.
-        seed: seed of that draw; the same seed and files give the same choice.
+    Images that match `include`, such as `img_*.png`, are the photographs, whatever they
+    are called; `exclude` leaves out the folder's own mask too. Of more than
+    `max_images` this many are drawn; the same seed and files give the same choice.
     """
     if not folder.is_dir():
         what = "a file" if folder.exists() else "nothing of this name"
@@ -133,10 +130,9 @@ def select(
 
 
 def folder_name(folder: Path) -> str:
-    """A folder's name as given (links are not followed), without ".data".
+    """A folder's name as given, without ".data", or a file's, without its suffix.
 
-    Of a file, a video or a TIFF of several pages, the name without its suffix. Bytes
-    that are not Unicode are replaced by question marks.
+    Links are not followed; bytes that are not Unicode are replaced by question marks.
     """
     name = os.fsencode(os.path.abspath(folder)).decode(errors="replace")  # noqa: PTH100
     if folder.is_file():

@@ -41,11 +41,7 @@ BENCHMARKS = {kind.name: kind for kind in _KINDS}
 def open_benchmark(
     name: str, root: str | os.PathLike[str], *, objects: Sequence[str] = ()
 ) -> Benchmark:
-    """Opens one of `BENCHMARKS`, whose folder is `root`.
-
-    Only `objects` are kept where any are given. `InputError` if there is no such
-    benchmark, or its layout is not as expected.
-    """
+    """Opens one of `BENCHMARKS`, or some objects of it; `InputError` if it can't."""
     if name not in BENCHMARKS:
         raise InputError(f"no benchmark {name!r}; there are {', '.join(BENCHMARKS)}")
     return BENCHMARKS[name](root, objects=objects)

@@ -141,11 +141,7 @@ class Benchmark(abc.ABC):
     def photographs(
         self, entry: Entry, mask: np.ndarray
     ) -> tuple[np.ndarray, float | None, tuple[str, ...]]:
-        """Reads an object's photographs.
-
-        Returns `Item`'s images, the focal length where the photographs hold it, and
-        notes.
-        """
+        """`Item`'s images, the focal length where these hold it, and notes."""
         stack: np.ndarray | None = None
         for i, path in enumerate(entry.images):
             file = read_image_file(path)
@@ -163,8 +159,8 @@ class Benchmark(abc.ABC):
     def check(self, index: int) -> str:
         """Reads an object's files through without keeping its photographs.
 
-        Returns the fingerprint of its data: a hash of the names (relative to the root)
-        and contents of all its files, and of what the reader made of them.
+        Returns a hash of the names (relative to the root) and contents of all its
+        files, and of what the reader made of them.
         """
         entry = self.entries[index]
         truth = self._checked_truth(entry)
@@ -179,10 +175,7 @@ class Benchmark(abc.ABC):
     def checked_photographs(
         self, entry: Entry, mask: np.ndarray
     ) -> Iterator[tuple[Path, bytes]]:
-        """Yields the photographs' files and contents, once they are known to be sound.
-
-        Errors are those of `photographs`.
-        """
+        """The photographs' files and contents, once they are known to be sound."""
         first: np.dtype | None = None
         for path in entry.images:
             data = files.read_bytes(path)
@@ -252,9 +245,7 @@ def distant_lights(
 ) -> Lights:
     """Lights from tables `[N, 3]`, directions to the light brought to unit length.
 
-    Intensities are 1 where None. `InputError`, naming the folder `where` they came
-    from, if a direction is zero, an intensity not positive, or the numbers of rows
-    differ.
+    Intensities are 1 where None; `InputError` where numbers can't be lights.
     """
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     if (length == 0).any():

@@ -174,10 +174,7 @@ class Diligent102(Benchmark):
 
 
 def submission_bytes(normals: np.ndarray) -> bytes:
-    """A DiLiGenT10^2 submission as a MATLAB file, the same bytes every time.
-
-    `normals` are `[1001, 1001, 3]`, zero outside the mask.
-    """
+    """Normals `[1001, 1001, 3]`, 0 outside the mask, as a file for DiLiGenT10^2."""
     from scipy.io import savemat
 
     buffer = io.BytesIO()

@@ -88,11 +88,7 @@ def read_mat(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 
 def read_mat_normals(path: Path) -> np.ndarray:
-    """Normals `[H, W, 3]` of a MATLAB file, as stored, float32.
-
-    `InputError` if it has no variable of that shape, or several and none of the usual
-    names.
-    """
+    """Normals `[H, W, 3]` of a MATLAB file, as stored, float32; by name or the only."""
     content = {
         key: value
         for key, value in _variables(path).items()

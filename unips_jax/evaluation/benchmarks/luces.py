@@ -37,10 +37,7 @@ class Leds(NamedTuple):
 
 
 class Luces(Benchmark):
-    """LUCES: 14 objects, 52 images each.
-
-    The principal point is taken at the image's centre.
-    """
+    """LUCES: 14 objects, 52 images each; principal point at the image's centre."""
 
     name = "luces"
     default_protocol = "native"

@@ -118,11 +118,7 @@ class PSWildTest(Benchmark):
 
 
 class PSWildTrain(PSWildTest):
-    """PS-Wild's training folders: photographs `0*`, ten per object.
-
-    `baseColor.tif`, `roughness.tif`, `metal.tif` and `depth.exr` are neither read nor
-    touched.
-    """
+    """PS-Wild's training folders: photographs `0*`, ten per object; no other maps."""
 
     name = "ps-wild-train"
     prefix = "0"

@@ -64,14 +64,9 @@ class PsmImages(Benchmark):
 
 
 def sphere_normals(mask: np.ndarray) -> np.ndarray:
-    """Normals of the sphere whose orthographic outline is the mask.
+    """Unit normals `[H, W, 3]` of the sphere whose orthographic outline is the mask.
 
-    Args:
-        mask: `[H, W]`, bool: a disc.
-
-    Returns:
-        `[H, W, 3]`, float32, unit length inside the mask (pixels at the rim that lie
-        outside the circle of the same area are brought to it), zero outside.
+    Pixels at the rim outside the circle of the same area are brought to it.
     """
     rows, columns = np.nonzero(mask)
     radius = np.sqrt(len(rows) / np.pi)

@@ -100,10 +100,7 @@ def _open_boxed(data: bytes) -> Encoded:
 
 
 def decode(encoded: Encoded) -> tuple[np.ndarray, np.ndarray | None]:
-    """A file's pixels as stored: `[H, W, 1 or 3]`, and alpha `[H, W]` or None.
-
-    Raises `NotRead` or `Damaged`.
-    """
+    """A file's pixels as stored: `[H, W, 1 or 3]`, and alpha `[H, W]` or None."""
     try:
         pixels = np.atleast_3d(encoded.decode())
     except (NotRead, Damaged):

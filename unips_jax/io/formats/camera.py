@@ -75,10 +75,7 @@ def open_raw(data: bytes, name: str) -> Encoded:
 
 
 def open_heic(data: bytes) -> Encoded:
-    """Reads a HEIC picture, of a phone mostly; the primary one of several.
-
-    Its own turns are done by the decoder; as the format demands, EXIF's is not.
-    """
+    """Reads a HEIC picture, the primary one of several; the decoder turns it."""
     try:
         import pillow_heif
     except ImportError:

@@ -68,10 +68,7 @@ class Encoded:
 
 
 def exif_facts(block: bytes) -> dict[str, Any]:
-    """Fields of `Encoded` by EXIF data, with or without their `Exif` mark.
-
-    What is damaged counts as absent.
-    """
+    """Fields of `Encoded` by EXIF data, with or without `Exif`; none if damaged."""
     tags: dict[int, object] = {}
     if block:
         try:

@@ -26,11 +26,7 @@ _HEADERS = {"separate_channels": True, "header_only": True}
 
 
 def open_exr(data: bytes, *, vectors: bool = False) -> Encoded:
-    """Reads an EXR's headers.
-
-    With `vectors` the picture is a normal map: channels X, Y, Z are read too, and
-    layers named as maps.
-    """
+    """Reads an EXR's headers; `vectors`: X, Y, Z and layers named as maps too."""
     headers = [part.header for part in OpenEXR.File(io.BytesIO(data), **_HEADERS).parts]
     index, names = _picture(headers, vectors)
     header = headers[index]
@@ -69,10 +65,7 @@ def displayed(
     data: tuple[np.ndarray, np.ndarray],
     display: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """The display window of an EXR image `[h, w, C]`; zeros where it has no data.
-
-    Windows are their first and last (x, y).
-    """
+    """The display window of an EXR image `[h, w, C]`; zeros where it has no data."""
     (left, top), (right, bottom) = data[0] - display[0], data[1] - display[0] + 1
     width, height = display[1] - display[0] + 1
     if (left, top, right, bottom) == (0, 0, width, height):

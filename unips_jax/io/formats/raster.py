@@ -78,10 +78,7 @@ def open_jpeg(data: bytes) -> Encoded:
 
 
 def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yields (marker, start, end) of a JPEG's segments, up to the first scan.
-
-    `start` is behind marker and length.
-    """
+    """A JPEG's segments, (marker, start behind its length, end), up to a scan."""
     position = 2
     for _ in range(_PARTS):
         # Decoders pass over what lies between segments.

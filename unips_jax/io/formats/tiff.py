@@ -59,10 +59,7 @@ def _complaints() -> _Complaints:
 
 
 def count_pages(file: BinaryIO, most: int) -> int:
-    """How many directories a TIFF's chain has, before any library follows it.
-
-    `NotRead` if they are more than `most`, `Damaged` if the chain returns to itself.
-    """
+    """How many directories a TIFF's chain has, before any library follows it."""
     head = file.read(16)
     order = "<" if head[:1] == b"I" else ">"
     big = head[:4] in _BIG
