@@ -15,10 +15,7 @@ def require(condition: bool, message: str) -> None:
 
 
 def check_types(config: Any) -> None:
-    """Raises `ValueError` unless every field of a dataclass has its annotated type.
-
-    Numbers are finite.
-    """
+    """Raises `ValueError` unless every field has its annotated type, numbers finite."""
     hints = typing.get_type_hints(type(config))
     for field in dataclasses.fields(config):
         value, kind = getattr(config, field.name), hints[field.name]

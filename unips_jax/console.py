@@ -29,11 +29,10 @@ class Command(Protocol):
 def command(main: Callable[[Sequence[str] | None], None]) -> Command:
     """Turns a `main(argv)` into one that reports bad input in one line.
 
-    Returns:
-        A function with the same argument, returning the exit status: 0, 2 after an
-        `InputError` or what else is no bug (a full disk, a device that is not there,
-        too little memory), 130 after an interrupt, 141 where nobody reads the output
-        any more (`unips ... | head`). Other exceptions are bugs and pass.
+    It returns the exit status: 0, 2 after an `InputError` or what else is no bug (a
+    full disk, a device that is not there, too little memory), 130 after an interrupt,
+    141 where nobody reads the output any more (`unips ... | head`). Other exceptions
+    are bugs and pass.
     """
 
     @functools.wraps(main)
@@ -89,15 +88,11 @@ def parse(
     default: _T | None = None,
     negatable: bool = False,
 ) -> _T:
-    """Parses a command's arguments.
+    """Parses a command's arguments; the docstring of `options` describes them.
 
-    Args:
-        options: a dataclass; its docstring describes the options.
-        negatable: every --flag has its --no-flag.
-
-    Raises:
-        InputError: for an option that there is not, with those that are nearest.
-        SystemExit: after help, and with status 2 for other bad arguments.
+    With `negatable`, every --flag has its --no-flag. `InputError` for an option that
+    there is not, with those that are nearest; `SystemExit` after help, and with status
+    2 for other bad arguments.
     """
     import tyro
 
@@ -144,10 +139,7 @@ def _nearest(name: str, known: Sequence[str]) -> list[str]:
 
 
 def one_of(choices: Sequence[str], *, several: bool = False) -> Any:
-    """Annotates an option whose choices are known where it is declared.
-
-    With `several` it takes one or more of them.
-    """
+    """Annotates an option, or with `several` a list, whose choices are known here."""
     import tyro
 
     choice: Any = tyro.extras.literal_type_from_choices(choices)

@@ -128,8 +128,8 @@ def to_product_frame(normals: Array, mask: np.ndarray) -> np.ndarray:
 def hemisphere(*, volume: float | None = None) -> Method:
     """Makes the floor that looks at the mask only: a balloon's normals.
 
-    `volume` is the balloon's mean height in pixels, > 0; None: twice the mean distance
-    to the silhouette, which turns a disc into a hemisphere.
+    `volume` is its mean height in pixels, > 0; None: twice the mean distance to the
+    silhouette, which turns a disc into a hemisphere.
     """
     if volume is not None and not volume > 0:
         raise ValueError(f"volume: expected pixels > 0, got {volume!r}")

@@ -78,16 +78,11 @@ def by_diffuse_maxima(
 ) -> np.ndarray:
     """The ambiguity's parameters (mu, nu, lam > 0) from points that face their light.
 
-    Where a diffuse image has a local maximum, the normal points to the light. Each such
-    pair confines (mu, nu) to a segment; the median of all segments' crossings is taken,
-    and the median of the lam they imply. Of more than 3,000 points only every second,
-    third, ... is used. `Unsupported` if no two segments cross.
-
-    Args:
-        field: `[H, W, 3]`, b0.
-        lights: `[N, 3]`, l0.
-        images: `[N, H, W]`, grey.
-        mask: `[H, W]`, bool.
+    Of b0 `[H, W, 3]`, l0 `[N, 3]` and grey images `[N, H, W]`. Where a diffuse image
+    has a local maximum, the normal points to the light. Each such pair confines (mu,
+    nu) to a segment; the median of all segments' crossings is taken, and the median of
+    the lam they imply. Of more than 3,000 points only every second, third, ... is used.
+    `Unsupported` if no two segments cross.
     """
     index, rows, columns = diffuse_maxima(images, mask)
     b, light = field[rows, columns], lights[index]

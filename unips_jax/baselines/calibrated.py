@@ -105,9 +105,8 @@ def check_lights(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions `[N, 3]` and intensities `[N, 3]` of known lights, checked.
 
-    `Unsupported`, naming the method, if there are none, or they do not determine a
-    normal; `coplanar` accepts directions that lie in one plane. `ValueError` if shapes
-    do not fit.
+    `Unsupported` if they do not determine a normal; `coplanar`: they may lie in a
+    plane.
     """
     lights, count = observed.lights, len(observed.images)
     if lights is None:

@@ -1,7 +1,6 @@
 """The floor of every table: one normal, towards the viewer, everywhere.
 
-The other floor, a shape blown up from the mask alone, is in
-`unips_jax.baselines.balloon`.
+The other floor, a shape blown up from the mask alone, is `baselines.balloon`.
 """
 
 import numpy as np

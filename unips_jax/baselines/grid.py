@@ -17,10 +17,7 @@ Product = Callable[[Array], Array]
 
 
 def shift(image: Array, rows: int, columns: int) -> Array:
-    """Every pixel's neighbour, `out[y, x] = image[y + rows, x + columns]`.
-
-    `rows` and `columns` are -1, 0 or 1; zero is read beyond the border.
-    """
+    """Every pixel's neighbour, `out[y, x] = image[y + rows, x + columns]`, or zero."""
     height, width = image.shape[-2:]
     padded = jnp.pad(image, [(0, 0)] * (image.ndim - 2) + [(1, 1), (1, 1)])
     padded = lax.slice_in_dim(padded, 1 + rows, 1 + rows + height, axis=-2)
@@ -63,13 +60,9 @@ def solve_cg(
 ) -> Array:
     """Conjugate gradients with Jacobi's preconditioner.
 
-    Args:
-        product: the symmetric positive semi-definite matrix, as a function.
-        right: the right-hand side, any shape, zero where there is no unknown.
-        diagonal: the matrix's diagonal, same shape; entries <= 0 mark no unknown.
-        start: where to start; zero if None.
-        rtol: stops once the residual's norm is below `rtol` times the norm of `right`.
-        limit: iterations at most.
+    `product` is the symmetric positive semi-definite matrix, as a function; entries of
+    its diagonal <= 0 mark no unknown, where `right` is zero. Stops once the residual's
+    norm is below `rtol` times the norm of `right`, or after `limit` iterations.
     """
     inverse = jnp.where(diagonal > 0, 1 / jnp.where(diagonal > 0, diagonal, 1.0), 0.0)
     return jax.scipy.sparse.linalg.cg(
@@ -104,10 +97,7 @@ def stencil(center: Array, right: Array, below: Array, aslant: Array) -> Product
 
 
 def integrate(slopes: Array, mask: Array, *, rtol: float = 1e-5) -> Array:
-    """Integrates slopes by least squares (Poisson): `[H, W]`, mean 0 on the mask.
-
-    `slopes` are `[2, H, W]`, wanted forward differences along columns and rows.
-    """
+    """Integrates slopes `[2, H, W]` by least squares: `[H, W]`, mean 0 on the mask."""
     links = jnp.stack(
         [mask & shift(mask, 0, 1), mask & shift(mask, 1, 0)], dtype=slopes.dtype
     )

@@ -66,12 +66,8 @@ def map_pixels(
 ) -> np.ndarray:
     """Applies a per-pixel solver to all pixels, a bounded chunk at a time: `[P, 3]`.
 
-    Args:
-        function: maps one pixel's values `[N]` and the directions `[N, 3]` to `[3]`;
-            at module level, so that its compilation is kept.
-        values: `[P, N]`.
-        directions: `[N, 3]`.
-        **options: the function's own, hashable, fixed at compilation.
+    `function`, at module level so that its compilation is kept, maps one pixel's values
+    `[N]` and the directions `[N, 3]` to `[3]`; its options are hashable.
     """
     count = len(values)
     chunk = min(CHUNK, 1 << max(count - 1, 1).bit_length())

@@ -11,10 +11,7 @@ from unips_jax.baselines.method import Unsupported
 
 
 def smooth(field: np.ndarray, mask: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian mean of a field `[H, W, C]` over the neighbours inside the mask.
-
-    `sigma` is in pixels; 0 returns the masked field.
-    """
+    """Gaussian mean of a field `[H, W, C]` over the neighbours inside the mask."""
     inside = mask[..., None].astype(np.float64)
     if sigma == 0:
         return field * inside
@@ -52,10 +49,7 @@ def silhouette(mask: np.ndarray, *, name: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def convex_sign(normals: np.ndarray, mask: np.ndarray, *, name: str) -> np.ndarray:
-    """Settles bumps against dents: normals point outwards along the outline.
-
-    The normals, or the same with x and y negated.
-    """
+    """Settles bumps against dents: normals point outwards along the outline."""
     outline, outward = silhouette(mask, name=name)
     if np.sum(normals[outline][:, :2] * outward) >= 0:
         return normals

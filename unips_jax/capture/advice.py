@@ -37,8 +37,7 @@ def look_at_values(
 ) -> list[Finding]:
     """Lists what is wrong with a mask, with exposure and with the lights' variety.
 
-    `images` are `[N, H, W, 3]`, uint8, uint16 or float32, not black inside the mask,
-    which has a pixel or more.
+    Images are not black inside the mask, which has a pixel or more.
     """
     inside = int(mask.sum())
     step = math.ceil((inside / _SAMPLES) ** 0.5)
@@ -131,10 +130,7 @@ def _holes(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def filled_holes(mask: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Small holes in which the object is seen, about as bright as around, and areas.
-
-    Where it is darker there, the object has a hole. `[H, W]`, bool, and `[K]`.
-    """
+    """Small holes in which the object is seen, about as bright as around, and areas."""
     labels, numbers, stats = _holes(mask)
     areas = stats[:, cv2.CC_STAT_AREA]
     if not len(numbers):

@@ -28,11 +28,7 @@ _EXPOSURES = 1.26  # a third of a stop
 def check_capture(
     capture: Capture, names: Sequence[str], *, motion: Motion | None = None
 ) -> list[Finding]:
-    """Lists what is wrong with photographs; empty if nothing is.
-
-    `motion` comes from `find_motion`, where it is known already; of photographs that
-    were brought back to their place, what was left is 0.
-    """
+    """Lists what is wrong with photographs, whose `motion` may be known; or nothing."""
     images, mask = capture.images, capture.mask
     if motion is None:
         motion = find_motion(images, None if mask.all() else mask)
@@ -124,10 +120,7 @@ def _bands(image: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _soft_parts(
     bands: Sequence[tuple[np.ndarray, np.ndarray]], inside: np.ndarray
 ) -> np.ndarray:
-    """Below what share of the others' fine detail three quarters of the parts are.
-
-    Light changes detail in some parts of a picture, a lens in all.
-    """
+    """Below what share of the others' fine detail three quarters of the parts are."""
     fine, coarse = (
         np.array([sums_of_parts(pair[band], _PART) for pair in bands])
         for band in (0, 1)

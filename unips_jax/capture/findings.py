@@ -26,8 +26,8 @@ def by_file(
 ) -> list[Finding]:
     """One finding about the files that have a value; none where no file has.
 
-    A value is written as `shown`, such as `"{:.0%}"`; files and their values go where
-    `text` has `{}`.
+    Files and their values, written as `shown`, such as `"{:.0%}"`, go where `text` has
+    `{}`.
     """
     if not values:
         return []

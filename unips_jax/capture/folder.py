@@ -58,10 +58,7 @@ def check_photographs(
     look_for_mask: bool = True,
     max_pixels: int = MAX_PIXELS,
 ) -> Report:
-    """Looks at photographs, and at those that fit together more closely.
-
-    `transfer` is how values encode light, in place of what the files hold.
-    """
+    """Looks at photographs, and at those that fit together more closely."""
     headers, found = {}, []
     for path in selection.files:
         try:

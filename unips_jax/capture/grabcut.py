@@ -20,15 +20,11 @@ def grabcut_mask(
 ) -> np.ndarray:
     """Finds the object from a box around it, strokes on it, or both: `[H, W]`, bool.
 
-    The same arguments give the same mask. `InputError` if there is neither a box nor a
+    Of a picture `[H, W, 3]`, uint8, such as `masks.mask_picture` gives. The box is
+    left, top, right and bottom in pixels, right and bottom outside: nothing beyond it
+    is the object. `inside`, `outside`: strokes on the object and the background. The
+    same arguments give the same mask. `InputError` if there is neither a box nor a
     stroke on the object, if these leave nothing to decide or find, or sizes differ.
-
-    Args:
-        picture: `[H, W, 3]`, uint8, such as `masks.mask_picture` gives.
-        box: left, top, right and bottom in pixels, right and bottom outside: nothing
-            beyond it is the object.
-        inside: `[H, W]`, bool: strokes on the object; see `strokes`.
-        outside: `[H, W]`, bool: strokes on the background.
     """
     shape = picture.shape[:2]
     _check(picture, box, inside, outside)
@@ -151,11 +147,7 @@ def strokes(
     *,
     width: int = 5,
 ) -> np.ndarray:
-    """Paints strokes on a picture of a shape: `[H, W]`, bool.
-
-    Of each stroke the points (x, y) are given, in pixels, as is the brush's width; one
-    point is a dot.
-    """
+    """Paints strokes, points (x, y) in pixels, on a picture: `[H, W]`, bool."""
     painted = np.zeros(shape, np.uint8)
     for line in lines:
         points = np.rint(np.asarray(line, np.float64)).astype(np.int32).reshape(-1, 2)

@@ -47,11 +47,7 @@ class RoughLights(NamedTuple):
 def rough_lights(
     images: np.ndarray, mask: np.ndarray, transfer: Transfer
 ) -> RoughLights | None:
-    """The lights of photographs `[N, H, W, 3]`, roughly.
-
-    The mask, `[H, W]`, is that of one object, its outline the object's; None where it
-    is not.
-    """
+    """The lights of photographs `[N, H, W, 3]`, roughly; of one whole object alone."""
     touching = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).sum()
     outline = mask.sum() - cv2.erode(mask.astype(np.uint8), np.ones((3, 3))).sum()
     if touching > _TOUCHING * max(outline, 1):

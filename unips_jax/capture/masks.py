@@ -42,10 +42,7 @@ class MaskGuess(NamedTuple):
 
 
 def suggest_mask(images: np.ndarray, *, transfer: Transfer = "srgb") -> MaskGuess:
-    """Finds the object of photographs `[N, H, W, 3]`, whatever is behind it.
-
-    One camera, changing light; `transfer` is how their values encode it.
-    """
+    """Finds the object of photographs `[N, H, W, 3]`, whatever is behind it."""
     if min(images.shape[1:3]) < _SMALLEST:
         return MaskGuess(None, 0.0)
     guess = _guess(images, transfer)

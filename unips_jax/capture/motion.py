@@ -61,10 +61,7 @@ class Motion:
 
 
 def find_motion(images: np.ndarray, mask: np.ndarray | None = None) -> Motion:
-    """Finds how far photographs moved, to some tenths of a pixel of 384.
-
-    `mask` `[H, W]` is where the object is; None if not known.
-    """
+    """Finds how far photographs moved, to some tenths of a pixel of 384."""
     count, height, width = images.shape[:3]
     limit = max(_LEAST, _SHARE * max(height, width))
     rows, columns = slice(0, height), slice(0, width)

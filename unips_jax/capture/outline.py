@@ -35,10 +35,7 @@ def outline_shifts(
 ) -> OutlineShifts | None:
     """How far the outlines of photographs `[N, H, W, 3]` lie from one another.
 
-    Args:
-        images: photographs.
-        mask: `[H, W]`, bool, of the object.
-        scale: at most 1, at which they are looked at; offsets are of full size.
+    They are looked at in `scale`, at most 1; offsets are of full size.
     """
     small = cv2.resize(
         mask.astype(np.float32), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA

@@ -68,7 +68,7 @@ def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> 
 
 
 def in_place(capture: Capture) -> tuple[Capture, Motion]:
-    """The same photographs, those that moved brought back; and how they had moved.
+    """The photographs with those that moved brought back; and how they had moved.
 
     Where not all of them have content, nothing is inside the mask any more.
     """

@@ -62,7 +62,7 @@ def mask_of_salient_object(
 
 
 def saliency(picture: np.ndarray) -> np.ndarray:
-    """How salient is what is seen, `[320, 320]` in [0, 1], in a picture `[H, W, 3]`.
+    """How salient is what is seen in a picture, in [0, 1]: `[320, 320]`.
 
     The picture's values are the square root of light, or sRGB, in [0, 1].
     """

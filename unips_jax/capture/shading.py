@@ -43,11 +43,7 @@ def light_of(image: np.ndarray, scale: float) -> np.ndarray:
 def shift_of(
     picture: np.ndarray, others: np.ndarray, starts: list[np.ndarray]
 ) -> Shift:
-    """How far a photograph lies from all others.
-
-    `picture` `[h, w]` comes from `light_of`, `others` are where they belong; `starts`
-    are shifts from which to look for a better one.
-    """
+    """How far a photograph (`light_of`) lies from all others, near one of `starts`."""
     basis = _principal(others.reshape(len(others), -1))
     inner = np.zeros(picture.shape, np.float32)
     inner[_BORDER:-_BORDER, _BORDER:-_BORDER] = 1

@@ -8,10 +8,7 @@ from unips_jax.io.images import image_header, read_bytes
 
 
 def views_by_time(files: Sequence[Path], pause: float) -> list[list[Path]]:
-    """Sorts photographs by time; a pause of more than `pause` seconds begins a view.
-
-    `InputError` if a photograph's EXIF data do not hold when it was taken.
-    """
+    """Sorts photographs by time; a pause of more than `pause` seconds begins a view."""
     times = {file: image_header(read_bytes(file), file).taken for file in files}
     unknown = [file for file, time in times.items() if not time]
     if unknown:

@@ -110,10 +110,7 @@ def drawn_jobs(
     meshes: list[Path] | None = None,
     materials: dict[str, dict[str, Any]] | None = None,
 ) -> list[Job]:
-    """Objects `obj000`, `obj001`, ..., each of its own number and seed.
-
-    Without `meshes` of the user's, or `materials` (see `find_materials`), drawn ones.
-    """
+    """Objects `obj000`, `obj001`, ..., each of its own number and seed."""
     jobs = []
     for index in range(count):
         rng = np.random.default_rng((seed, index))

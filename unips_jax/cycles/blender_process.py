@@ -115,10 +115,7 @@ class Blender:
         return answer["ok"]
 
     def picture(self, do: str, **arguments: Any) -> dict[str, np.ndarray]:
-        """Asks for a picture: its channels by name, float32 `[H, W]`.
-
-        A leading "ViewLayer." of names is left out.
-        """
+        """Asks for a picture: its channels by name, float32 `[H, W]`."""
         path = self.folder / "picture.exr"
         path.unlink(missing_ok=True)
         self.ask(do, path=str(path), **arguments)

@@ -1,7 +1,4 @@
-"""Sets like PS-Wild from presets, folders of the user's and a manifest.
-
-The options are explained in `cli.render_cycles`.
-"""
+"""Sets like PS-Wild from presets, folders of the user's and a manifest."""
 
 import zlib
 from pathlib import Path
@@ -137,10 +134,7 @@ def render(
 
 
 def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
-    """A column per object: its normals, then two photographs under each lighting.
-
-    RGB uint8, photographs with the sRGB curve; what is missing of an object is black.
-    """
+    """A column per object: its normals, then two photographs under each lighting."""
     from unips_jax.io.color import srgb_encode
     from unips_jax.io.ps_wild import PSWildFolders, read_object
 

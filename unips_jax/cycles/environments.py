@@ -69,10 +69,7 @@ def _room(rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_environment(rng: np.random.Generator) -> np.ndarray:
-    """A sky over a ground, or a room with windows and lamps.
-
-    `[256, 512, 3]`, float32 radiance, equirectangular, the zenith in row 0.
-    """
+    """A sky, or a room: radiance `[256, 512, 3]`, equirectangular, zenith in row 0."""
     picture = _sky(rng) if rng.random() < 0.5 else _room(rng)
     return np.maximum(picture, 0).astype(np.float32)
 

@@ -68,10 +68,7 @@ def draw_light(
 
 
 def automatic_gain(radiance: np.ndarray, mask: np.ndarray) -> float:
-    """The factor that puts the 99.5th percentile of the object at 0.9.
-
-    The brightest channel of a pixel counts; 1 where the object is black.
-    """
+    """The factor that puts the 99.5th percentile of the object's brightest at 0.9."""
     values = radiance.max(-1)[mask]
     bright = float(np.percentile(values, _PERCENTILE)) if values.size else 0.0
     return _BRIGHT / bright if bright > 1e-9 else 1.0

@@ -82,10 +82,9 @@ def read_truth(channels: dict[str, np.ndarray]) -> Truth:
 
 
 def read_photograph(channels: dict[str, np.ndarray], mask: np.ndarray) -> np.ndarray:
-    """Radiance of the object, `[H, W, 3]`, zero outside the mask.
+    """Radiance `[H, W, 3]` of the object, 0 outside, by premultiplied R, G, B and A.
 
     Pixels at the outline, which the object covers in part, are divided by that part.
-    The channels are R, G, B, premultiplied, and A, `[H, W]` each.
     """
     alpha = channels["A"]
     image = np.stack([channels[c] for c in "RGB"], -1)
@@ -123,10 +122,7 @@ def _rotation(rng: np.random.Generator, *, facing: bool) -> list[float]:
 def pose(
     blender: Blender, job: Job, settings: Settings, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Builds an object and turns it until it fits and its normals are varied enough.
-
-    `BlenderError` if Blender cannot build it, or no rotation will do.
-    """
+    """Builds an object and turns it until it fits and its normals are varied enough."""
     blender.ask("build", shape=job.shape, material=job.material)
     focal_mm = None
     if rng.random() < settings.perspective:
@@ -205,11 +201,7 @@ class _Photographs:
 def render_object(
     blender: Blender, job: Job, settings: Settings, folders: dict[str, Path]
 ) -> None:
-    """Renders an object under several lightings, into folders that do not exist yet.
-
-    `BlenderError` if it cannot be rendered; at the end, `InputError` for an environment
-    that cannot be read.
-    """
+    """Renders an object under several lightings, into folders that do not exist yet."""
     facts = {**job.facts, "seed": list(job.seed), "engine": "cycles"}
     facts["versions"] = blender.ask("version")
     facts |= pose(blender, job, settings, np.random.default_rng(job.seed))

@@ -124,10 +124,7 @@ def write_onnx(folder: Path, network: UniversalNetwork, record: dict[str, Any]) 
 def write_stablehlo(
     folder: Path, network: UniversalNetwork, record: dict[str, Any]
 ) -> None:
-    """Writes `estimate.stablehlo`, as `jax.export` serialises a function.
-
-    The record is not inside the file, but for the signature's sake.
-    """
+    """Writes `estimate.stablehlo`, as `jax.export` serialises a function."""
     shapes = _shapes(network.config)
     arguments = [shapes[key] for key in _INPUTS["estimate"]]
     stored = jax.tree.map(_in_half, network)

@@ -72,10 +72,7 @@ class Graph:
     def node(
         self, kind: str, inputs: Sequence[Value], result: Any, **attributes: Any
     ) -> Tensor:
-        """Adds a node of one output: the ONNX operator `kind`, with its attributes.
-
-        `result` has the output's shape and type.
-        """
+        """Adds the ONNX operator `kind`, whose one output is shaped as `result`."""
         shape, dtype = result
         (tensor,) = self.nodes(kind, inputs, [(shape, dtype)], **attributes)
         return tensor
@@ -179,10 +176,7 @@ class Graph:
         return self.node("Expand", [value, self.dims(shape)], (shape, value.dtype))
 
     def add_jaxpr(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Value]):
-        """Adds the equations of an open jaxpr; returns the values of its results.
-
-        `NotImplementedError` names a primitive without an ONNX operator.
-        """
+        """Adds the equations of an open jaxpr; returns the values of its results."""
         values: dict[Any, Value] = {}
 
         def read(atom: Any) -> Value:

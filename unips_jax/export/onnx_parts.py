@@ -57,10 +57,7 @@ def pad(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
 
 
 def gather(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
-    """Whole slices at indices along an axis, as `jnp.take` and `x[index]` ask for.
-
-    Or a grid of known rows and columns, as of `x[:, ::2, 1::2]`.
-    """
+    """Slices at indices along an axis (`x[index]`), or a grid of known ones."""
     x, index = whole_inputs(graph, equation, inputs)
     params, (shape, dtype) = equation.params, result_of(equation)
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]

@@ -62,10 +62,7 @@ def sphere(height: int, width: int) -> tuple[Array, Array]:
 
 
 def turned(environment: Array, degrees: Array | float) -> Array:
-    """The environment turned about the vertical, counter-clockwise from above.
-
-    What was behind the object comes to its left by 90 degrees.
-    """
+    """The environment turned about the vertical, counter-clockwise from above."""
     width = environment.shape[1]
     shift = jnp.asarray(degrees, jnp.float32) * (width / 360)
     whole = jnp.floor(shift).astype(jnp.int32)
@@ -114,10 +111,7 @@ def look_up(table: Array, direction: Array) -> Array:
 def pixels_around(
     x: Array, y: Array, z: Array, height: int, width: int
 ) -> tuple[tuple[Array, Array], tuple[Array, Array], Array, Array]:
-    """The four pixels of a picture between which unit directions lie.
-
-    Returns two rows, two columns, and the shares of the second ones.
-    """
+    """The pixels around unit directions: rows, columns, and the second ones' shares."""
     # At the poles and behind the camera derivatives of the angles are not finite.
     row = jnp.arccos(jnp.clip(y, -0.999999, 0.999999)) * (height / math.pi) - 0.5
     pole = x * x + z * z < 1e-12
@@ -132,11 +126,7 @@ def pixels_around(
 
 
 def glossy_light(environment: Blurred, mirror: Array, roughness: Array) -> Array:
-    """Mean radiance `[..., 3]` over the lobes of rough mirrors.
-
-    `mirror` are the unit mirror directions `[..., 3]`, `roughness` `[...]` is in [0,
-    1].
-    """
+    """Mean radiance `[..., 3]` over the lobes of rough mirrors, of unit directions."""
     place = jnp.clip(roughness / _ROUGHNESS, 0.0, _LEVELS)[..., None]
     total = look_up(environment.sharp, mirror) * jnp.maximum(1 - place, 0.0)
     for level in range(_LEVELS):

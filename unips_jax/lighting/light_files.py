@@ -84,9 +84,8 @@ def write_base_color(
     """Finds the base colour of every pixel, and writes `base_color.exr` and `.png`.
 
     The albedo that explains the photographs best, for matt surfaces, shadows and
-    highlights spared; up to one factor, and to the lights' common colour. Images are
-    `[N, H, W, 3]`, uint8, uint16 or float32; normals `[H, W, 3]`, 0 where there is
-    none. Returns what the record keeps.
+    highlights spared; up to one factor, and to the lights' common colour. Returns what
+    the record keeps.
     """
     color = base_color(images, normals, mask, lights, transfer=transfer)
     comments = "base colour, linear, up to a factor; 0: no surface"

@@ -114,8 +114,7 @@ def estimate_lights(
 def irradiance(lights: Lights, normals: np.ndarray, index: Any = None) -> np.ndarray:
     """Irradiance on unit normals `[P, 3]`, without cast shadows: `[N, P, 3]`, >= 0.
 
-    `index` takes their pixels from an image, for lamps that are near; without it they
-    lie at its middle.
+    `index` takes their pixels from an image, for lamps that are near.
     """
     near = lights.near if index is not None else None
     field = () if near is None else (near.distance, near.places[index])
@@ -134,14 +133,9 @@ def robust_albedo(
 ) -> np.ndarray:
     """Albedo that explains pixels best, but for shadows and highlights: `[P, 3]`, > 0.
 
-    With two photographs or fewer nothing is spared.
-
-    Args:
-        pixels: `[N, P, 3]`, float32 or float64.
-        light: `[N, P, 3]`, irradiance (over pi: radiance of a white matt surface).
-        scales: of more pixels than these, so that parts of an image fit together;
-            None: of these.
-        rounds: of reweighting.
+    Of pixels and irradiance `[N, P, 3]`. With two photographs or fewer nothing is
+    spared. `scales` are of more pixels than these, so that parts of an image fit
+    together.
     """
     weight = known = np.clip(light / _FADE, 0, 1)
     typical = None if scales is None else scales.albedo
@@ -252,10 +246,7 @@ def _fitted_light(
     cosine: np.ndarray,
     directness: np.ndarray,
 ) -> np.ndarray:
-    """The key's and the surroundings' irradiance, `[N, 10, 3]`, in turns with albedo.
-
-    Rows: the key's color, then the coefficients of the surroundings' irradiance.
-    """
+    """The irradiance's key colour and surroundings' coefficients, `[N, 10, 3]`."""
     smooth = harmonics(normal)  # [P, 9]
     # Even light of power 1 gives everything an irradiance of a quarter.
     share = np.clip(directness, 0.05, 1)

@@ -21,10 +21,7 @@ class NearField(NamedTuple):
 
 
 def places_of(depth: np.ndarray) -> np.ndarray:
-    """A surface's places, by its depth `[H, W]` in pixels, away from the viewer.
-
-    The depth's median over the surface is the middle's; NaN where there is none.
-    """
+    """A surface's places, by its depth `[H, W]` in pixels; the median is the middle."""
     height, width = depth.shape
     there = np.isfinite(depth)
     middle = np.median(depth[there]) if there.any() else 0.0
@@ -42,11 +39,8 @@ def cosines(
 ) -> np.ndarray:
     """What lamps give to surfaces, 1 on what faces them at the middle: `[N, P]`, >= 0.
 
-    Args:
-        directions: `[N, 3]`, unit, from the middle.
-        normals: `[P, 3]`, unit.
-        distance: of the lamps; None: far away.
-        places: `[P, 3]`, of the surfaces; None: the middle.
+    Directions `[N, 3]` are from the middle; without a distance the lamps are far away,
+    without `places [P, 3]` surfaces in the middle.
     """
     if distance is None or places is None:
         return np.maximum(directions @ normals.T, 0)

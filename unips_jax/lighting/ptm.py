@@ -45,8 +45,7 @@ def basis(directions: np.ndarray) -> np.ndarray:
 def fit_matrix(directions: np.ndarray) -> np.ndarray:
     """What turns a pixel's N values to its six coefficients, `[6, N]`.
 
-    Where the unit directions `[N, 3]` do not settle the polynomial, the terms of higher
-    degree are small.
+    Where directions do not settle the polynomial, terms of higher degree are small.
     """
     terms = basis(directions)
     pull = _RIDGE * len(terms) * np.diag([1, 1, 1, 0.1, 0.1, 1e-6])
@@ -176,10 +175,7 @@ def write_ptm(path: Path, fit: TextureMap) -> dict[str, float]:
 
 
 def write_planes(folder: Path, fit: TextureMap) -> None:
-    """Writes a texture map as Relight does: `info.json`, `plane_0.jpg` to `_5.jpg`.
-
-    Memory as in `write_ptm`; the folder exists.
-    """
+    """Writes a texture map as Relight does: `info.json`, `plane_0.jpg` to `_5.jpg`."""
     height, width = fit.mask.shape
     low, high = (ends[:, _PLANES].T for ends in fit.levels())  # [6, 3]
     scale = np.maximum(high - low, 1e-5)

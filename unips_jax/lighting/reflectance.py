@@ -54,11 +54,7 @@ def _polynomial(x: Array, coefficients: tuple[Array | float, ...]) -> Array:
 
 
 def environment_brdf(cosine: Array, roughness: Array) -> tuple[Array, Array]:
-    """Directional albedo of the specular lobe as F0 * a + b.
-
-    `cosine` is between normal and direction, `roughness` perceptual. a and b are at
-    least 0; a + b is at most about 1.
-    """
+    """Directional albedo of the specular lobe as F0 * a + b, a + b at most 1."""
     rows = [_polynomial(cosine, row) for row in _TOTAL_FIT]
     total = jnp.clip(_polynomial(roughness, tuple(rows)), 0.0, 1.0)
     m2 = (1 - cosine) ** 2

@@ -32,15 +32,9 @@ def rig_file(source: Path) -> Path:
 
 
 def read_rig(source: Path, names: Sequence[str] | None = None) -> Lights | np.ndarray:
-    """The lights of photographs, by their names, or in order if there are as many.
+    """Lights (or a list's unit directions `[N, 3]`) of photographs, by their names.
 
-    Without names, all lights in their order.
-
-    Returns:
-        The lights, or of a list unit directions `[N, 3]`.
-
-    Raises:
-        InputError: if the file cannot be used, or has no light for a photograph.
+    In order if there are as many, or no names. `InputError` if a photograph has none.
     """
     path = rig_file(source)
     if path.suffix.lower() == ".lp":

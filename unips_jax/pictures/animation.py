@@ -15,11 +15,10 @@ _CODECS = ("vp09", "mp4v")
 
 
 def write_animation(path: Path, frames: Iterable[np.ndarray], *, fps: float) -> None:
-    """Writes frames as they come; GIF and WebP repeat for ever.
+    """Writes frames `[H, W, 3]`, uint8, as they come: `.mp4`, `.gif` or `.webp`.
 
-    Frames are `[H, W, 3]`, uint8, at least one. The suffix, `.mp4`, `.gif` or `.webp`,
-    chooses the format. MP4s have even sides: a last black row or column is added where
-    needed. `NotWritten` if no encoder takes the frames, or they cannot be written.
+    GIF and WebP repeat for ever. MP4s have even sides: a last black row or column is
+    added where needed.
     """
     if path.suffix.lower() == ".mp4":
         with new_path(path) as part:

@@ -41,15 +41,8 @@ def write_sheet(
 ) -> None:
     """Writes the sheet as an image file, whose suffix gives the format.
 
-    Args:
-        images: `[N, H, W, 3]`, RGB, uint8, uint16 or float32.
-        normals: `[H, W, 3]`, unit length inside the mask.
-        mask: `[H, W]`, bool.
-        title: first line.
-        subtitle: second line.
-        encoded: the images are sRGB encoded already, so shown as they are.
-        truth: `[H, W, 3]`, true normals, unit length inside the mask: adds a map of the
-            errors.
+    Of images `[N, H, W, 3]`, sRGB if they are `encoded`; with the true normals `[H, W,
+    3]` it has a map of the errors.
     """
     view = frame(mask)
     coverage = mask[view].astype(np.float32)[..., None]
@@ -87,8 +80,7 @@ def write_sheet(
 def shade(normals: np.ndarray, azimuth_deg: float) -> np.ndarray:
     """Lambertian shading of white material: max(n . l, 0), `[H, W]`.
 
-    `azimuth_deg` is the light's side, 0 right, 90 above; it stands 40 degrees above the
-    image plane.
+    The light's side: 0 right, 90 above; it stands 40 degrees above the image plane.
     """
     azimuth, elevation = np.deg2rad([azimuth_deg, _LIGHT_ELEVATION_DEG])
     light = np.array(

@@ -21,8 +21,8 @@ _MISSING = "\N{WHITE SQUARE}"
 def drawable(text: str) -> tuple[str, list[str]]:
     """A text that can be drawn, and the families of fonts to draw it with.
 
-    Characters that no installed font has become white squares; marks without a width
-    of their own, such as those that join emoji, are left out then.
+    Characters that no font has become white squares; marks without width, as in emoji,
+    go.
     """
     fonts = _fonts()
     shown = []
@@ -40,10 +40,7 @@ def drawable(text: str) -> tuple[str, list[str]]:
 
 
 def shorten(text: str, most: int) -> str:
-    """The text with its middle left out where it is wider than `most` letters (>= 3).
-
-    An ideograph is as wide as two letters.
-    """
+    """The text without its middle if wider than `most` letters; an ideograph is two."""
     if text_width(text) <= most:
         return text
     head, tail = text[: len(text) // 2], text[len(text) // 2 :]

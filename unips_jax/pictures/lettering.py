@@ -25,14 +25,10 @@ def write_line(
     size: float,
     colour: str,
 ) -> None:
-    """Writes a line of text into a picture, letters that no font has as boxes.
+    """Writes a line of text into a picture `[H, W, 3]`; letters of no font are boxes.
 
-    Args:
-        picture: `[H, W, 3]`, uint8; changed.
-        place: left end of the line, and the middle of its height: x, y in pixels.
-        text: one line, in any script.
-        size: of the letters, in pixels.
-        colour: as in HTML.
+    `place` is its left end, and the middle of its height: x, y in pixels, as is the
+    size.
     """
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)

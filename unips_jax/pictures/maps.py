@@ -15,10 +15,7 @@ _MAPS = {"inferno": cv2.COLORMAP_INFERNO, "viridis": cv2.COLORMAP_VIRIDIS}
 
 
 def colours_of(share: np.ndarray, name: str = COLOURS) -> np.ndarray:
-    """Values, 0 to 1 (clipped), as RGB in [0, 1], of "inferno" or "viridis".
-
-    matplotlib's maps, which OpenCV has as well.
-    """
+    """Values in [0, 1] as RGB in [0, 1], of "inferno" or "viridis" (by OpenCV)."""
     levels = np.arange(256, dtype=np.uint8)[:, None]
     table = cv2.applyColorMap(levels, _MAPS[name])[:, 0, ::-1] / 255
     return table[np.clip(np.asarray(share) * 256, 0, 255).astype(np.uint8)]

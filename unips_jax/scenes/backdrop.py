@@ -35,10 +35,7 @@ class Ground(NamedTuple):
 
 
 def draw_backdrop(draws: Draws, rate: float, possible: Array) -> Backdrop:
-    """Draws a wall that faces the viewer, and mostly a table before it.
-
-    `draws` has at least 24 numbers; there is none where `possible` is False.
-    """
+    """Draws a wall that faces the viewer, and mostly a table before it, if possible."""
     present = draws.chance(rate) & possible
     table = draws.chance(0.65)
     # The table is seen from 15 to 75 degrees above it; 0 would be edge on.
@@ -76,14 +73,7 @@ def widen_window(draws: Draws, backdrop: Backdrop, window: Array) -> Array:
 def meet(
     backdrop: Backdrop, rays: tuple[Point, Point], mask: Array, point: Point
 ) -> Ground:
-    """Where the camera's rays meet the backdrop before the object.
-
-    Args:
-        backdrop: table and wall.
-        rays: origins and directions, `[P]`.
-        mask: `[P]`, where the object is seen, and
-        point: where on it.
-    """
+    """Where rays `[P]` (origins, directions) meet the backdrop before the object."""
     origin, direction = rays
     way = tuple(p - o for p, o in zip(point, origin, strict=True))
     nearest = jnp.where(mask, dot(way, direction), jnp.inf)

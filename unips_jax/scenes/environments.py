@@ -66,10 +66,10 @@ def directions_of(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def look_up(photograph: Photograph, direction: Point, blur: Array) -> list[Array]:
-    """Radiance from directions, red, green and blue.
+    """Radiance from unit directions in the environment's frame: red, green, blue.
 
     Bilinear in the level whose blur, about the lobe's standard deviation in radians, is
-    nearest. Directions are unit, in the environment's frame.
+    nearest.
     """
     table = load_tables().radiance
     _, levels, height, width, _ = table.shape

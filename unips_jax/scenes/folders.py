@@ -70,15 +70,7 @@ def render_folders(
 
     Object K of a seed is always the same; folders that exist are kept, `InputError` if
     they were rendered otherwise, or by other code. Several processes may share the
-    work.
-
-    Args:
-        out: the tree's root.
-        objects: how many.
-        images: per folder.
-        size: side in pixels, a multiple of 4.
-        seed: of the whole tree.
-        shapes: some of `SHAPE_KINDS`, which objects take in turn; any without.
+    work. Objects take `shapes` in turn; `size` is a multiple of 4.
     """
     options: dict[str, Any] = {"seed": seed, "size": size, "images": images}
     if shapes:

@@ -155,10 +155,7 @@ def render_geometry(
     camera: Array | int | None = None,
     meshes: ArrayLike | None = None,
 ) -> Geometry:
-    """Draws an object and a camera and finds what is visible: the expensive stage.
-
-    Arguments are those of `render_scene`.
-    """
+    """Draws an object and a camera and finds what is visible: the expensive stage."""
     config = config or SceneConfig()
     if size <= 0 or size % 4:
         raise ValueError(f"size: expected a positive multiple of 4, got {size}")
@@ -202,10 +199,7 @@ def render_geometry(
 
 
 def _carve(key: Array, rate: float, shape: Shape, finest: Array) -> tuple[Shape, Array]:
-    """A finer and steeper relief for some, and how dark its hollows are.
-
-    However coarse it has to be, for its cells to be seen, it stays as steep.
-    """
+    """A finer and steeper relief for some, and how dark its hollows are."""
     key_rest, key_draws, key_seed = jax.random.split(key, 3)
     rest = Draws(key_rest, 2)
     carved = rest.chance(rate)
@@ -236,17 +230,9 @@ def finish_geometry(
 ) -> Geometry:
     """Finds what a camera sees of a given shape.
 
-    Args:
-        key: draws the directions of the visibility table.
-        shape: the object.
-        pose: `[3, 3]`, rotation from the object's frame to the world.
-        camera: the camera.
-        size: side of the images in pixels.
-        config: the distribution of scenes.
-        entropy: stored in the result.
-        backdrop: table and wall.
-        hollow: how much of its surroundings the bottom of the fine relief does not
-            see; None: it sees all.
+    `pose [3, 3]` turns the object's frame to the world's; the key is for directions of
+    the visibility table; `hollow`: how much of its surroundings the bottom of the fine
+    relief does not see.
     """
     to_object = shape.radius * pose.T
     shape = _resolve_detail(shape, camera, size)

@@ -5,7 +5,7 @@ from jax import Array
 
 
 def pixel_grid(size: int) -> tuple[Array, Array]:
-    """Frame coordinates of pixel centres: u right, v up, in (-1, 1), `[size * size]`.
+    """Pixel centres: u right, v up, in (-1, 1), `[size * size]`.
 
     Flat, as all fields are while rays are marched: the compiler vectorises the last
     axis only.

@@ -56,10 +56,7 @@ def _sphere_points() -> np.ndarray:
 def incident_light(
     keys: KeyLights, environment: Environment, gain: Array, backdrop: Backdrop | None
 ) -> IncidentLight:
-    """That of a scene, of N key lights and rotations of the environment.
-
-    `gain` `[N, 3]` is exposure and white balance.
-    """
+    """That of N key lights and rotations; `gain [N, 3]`: exposure and white balance."""
     squared = jnp.sum(jnp.square(keys.vector), -1, keepdims=True)  # [N, 1]
     away = jnp.where(keys.near[:, None] > 0, squared, 1.0)
     lamp = keys.color / away  # irradiance [N, 3]
@@ -90,9 +87,7 @@ def folder_light(facts: Mapping[str, Any], count: int) -> IncidentLight:
     """That of a PS-Wild folder's `count` photographs, in NumPy.
 
     Known is everything where a lamp is all the light; of sets by Cycles also the lamp
-    where there are surroundings; nothing of folders without `meta.json`. `facts` are
-    that, checked by `io.ps_wild.meta_lights`; `ValueError` if they have another number
-    of lights.
+    where there are surroundings; nothing of folders without `meta.json`.
     """
     directions, lights = facts.get("light_directions"), facts.get("lights")
     if lights:

@@ -79,12 +79,8 @@ def draw_lights(
 ) -> tuple[KeyLights, Environment]:
     """Draws one scene's lights; what its kind lacks has no brightness.
 
-    Args:
-        draws: at least 110 + 20 N numbers.
-        kind: index into `LIGHT_KINDS`.
-        num_images: N.
-        sides: from where; None: from anywhere.
-        photographs: what draws photographed environments, 6 numbers, and their share.
+    Of at least 110 + 20 N numbers; `sides` None: from anywhere; `photographs`: what
+    draws photographed environments, 6 numbers, and their share.
     """
     turn = 1.0 if sides is None else sides.turn
     environment = draw_environment(draws, num_images, turn)
@@ -134,11 +130,7 @@ def draw_lights(
 def key_light_at(
     vector: Array, near: Array, point: Point
 ) -> tuple[Point, Array, Array]:
-    """One key light, of `KeyLights`, at points in the world.
-
-    Returns the unit direction to the light, distance (huge where distant), and the
-    factor on the light's colour.
-    """
+    """One key light at points: unit direction, distance and factor on its colour."""
     offset = tuple(vector[i] - near * point[i] for i in range(3))
     squared = jnp.maximum(dot(offset, offset), 1e-4)
     inverse = 1 / jnp.sqrt(squared)

@@ -129,7 +129,7 @@ def spot_metal(key: Array, spotted: Array, surface: Surface, point: Point) -> Su
 def draw_surface(key: Array, kind: Array, point: Point, height: Array) -> Surface:
     """Draws a material, by its index into `MATERIALS`, and evaluates it.
 
-    Points are in the object's frame, scaled to unit radius, each `[P]`; `height` `[P]`,
+    Points are in the object's frame, scaled to unit radius, each `[P]`; `height [P]`,
     the fine relief, is about [-1, 1]: hollows may be darker.
     """
     key_draws, key_seed = jax.random.split(key)

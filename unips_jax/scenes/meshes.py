@@ -48,10 +48,7 @@ def cell_of(grid: Any) -> float:
 
 
 def grid_distance(grid: Array, point: Point) -> Array:
-    """Signed distance between the nodes of a grid `[G, G, G]`, linear along each axis.
-
-    Beyond the cube it grows with the distance from it.
-    """
+    """Signed distance between the nodes of a grid, linear; beyond the cube it grows."""
     size, flat = grid.shape[-1], grid.reshape(-1)
     inside = tuple(jnp.clip(c, -1.0, 1.0) for c in point)
     away = tuple(c - i for c, i in zip(point, inside, strict=True))

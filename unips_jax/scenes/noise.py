@@ -49,10 +49,7 @@ def _gradient(h: Array, x: Array, y: Array, z: Array) -> Array:
 
 
 def gradient_noise(seed: Array, point: Point) -> Array:
-    """Perlin's gradient noise with hashed gradients, cell size 1, seed uint32.
-
-    Mean 0, standard deviation about 0.3, mostly in [-1, 1].
-    """
+    """Perlin's gradient noise with hashed gradients, cell size 1: about 0 +- 0.3."""
     floor = [jnp.floor(c) for c in point]
     x, y, z = (c - f for c, f in zip(point, floor, strict=True))
     cell = [f.astype(jnp.int32).astype(jnp.uint32) for f in floor]
@@ -75,10 +72,7 @@ def gradient_noise(seed: Array, point: Point) -> Array:
 
 
 def pixel_noise(seed: Array, shape: tuple[int, ...]) -> Array:
-    """White noise, nearly Gaussian: the sum of four hashed bytes of a uint32 seed.
-
-    Mean 0, standard deviation 1, at most 3.5.
-    """
+    """White noise, the sum of four hashed bytes: mean 0, deviation 1, at most 3.5."""
     size = 1
     index = jnp.zeros(shape, jnp.uint32)
     for axis in reversed(range(len(shape))):

@@ -86,8 +86,7 @@ def pose_and_frame(
 
     Of one object in a thousand the cuts leave nothing: these lose their cuts. `draws`
     has at least 6 numbers for every candidate, and 3 more. Returns the object; its pose
-    `[3, 3]`, rotation from the object's frame to the world; the camera, cropped to the
-    object; and the entropy of the normals, in bits.
+    `[3, 3]`, from its frame to the world; the cropped camera; the entropy in bits.
     """
     count = config.rotation_candidates
     free = draws.rotation(count)

@@ -64,10 +64,7 @@ def shade(
     material: Array | int | None = None,
     incident: bool = False,
 ) -> Scene:
-    """Draws materials, lights and a camera response for a geometry.
-
-    A geometry may be used again and again; the arguments are those of `render_scene`.
-    """
+    """Draws materials, lights and a camera response for a geometry, again and again."""
     config = config or SceneConfig()
     key_kind, key_surface, key_lights, key_sensor = jax.random.split(key, 4)
     draws = Draws(key_kind, 8)
@@ -198,10 +195,7 @@ def render_scene(
     jax.jit, static_argnames=("size", "num_images", "config", "incident")
 )
 def render_batch(keys: Array, **options: Any) -> Scene:
-    """Scenes of keys `[B]`, compiled: a `Scene` whose arrays have a leading axis B.
-
-    Options are those of `render_scene`, the same for all.
-    """
+    """Scenes of keys `[B]`, compiled; options are those of `render_scene`."""
     config, count = options.get("config") or SceneConfig(), len(keys)
     meshes = round(config.mesh_rate * count)
 

@@ -36,10 +36,7 @@ def band(size: int, amount: Array | float) -> Array:
 
 
 def extend(values: Array, mask: Array, steps: int = REACH) -> Array:
-    """Continues `[..., H, W]` beyond the mask by the means of known neighbours.
-
-    `steps` pixels far; beyond it is zero.
-    """
+    """Continues `[..., H, W]` beyond the mask by means of neighbours, then by zero."""
     rows, columns = (band(size, 1.0) for size in mask.shape)
     known = mask.astype(jnp.float32)
     values = values * known
@@ -52,11 +49,10 @@ def extend(values: Array, mask: Array, steps: int = REACH) -> Array:
 
 
 def border_depth(mask: Array, steps: int = REACH) -> Array:
-    """How many pixels inside the border, `[H, W]`.
+    """How many pixels inside the border, `[H, W]`: 0 just inside, -1 just outside.
 
-    0 just inside, -1 just outside, up to `steps` more on either side. Steps across and
-    steps that go along diagonals too take turns, which keeps circles round. The frame
-    is no border.
+    At most `steps` more. Steps across and steps that go along diagonals too take turns,
+    which keeps circles round. The frame is no border.
     """
     rows, columns = (band(size, 1.0) for size in mask.shape)
     inside, outside = mask.astype(jnp.float32), 1.0 - mask
@@ -75,8 +71,8 @@ def border_depth(mask: Array, steps: int = REACH) -> Array:
 def draw_rims(draws: Draws, uniform: Array, mean: Array, mask: Array) -> Rims:
     """Draws a background, how far the border mixes with it, and the mask's error.
 
-    `draws` has at least 48 + 3 N numbers; `uniform` `[H, W]` in [0, 1) is for jagged
-    masks; `mean` `[N, 3]` is the object's mean in each image.
+    `draws` has at least 48 + 3 N numbers; `uniform [H, W]` in [0, 1) is for jagged
+    masks; `mean [N, 3]` is the object's mean in each image.
     """
     mixed = draws.chance(0.8)
     # Across one or three pixels: a sharp lens, or a soft one or an enlarged picture.

@@ -182,10 +182,7 @@ def without_cuts(shape: Shape) -> Shape:
 
 
 def distance(shape: Shape, point: Point) -> Array:
-    """Signed distance to the shape without its detail, in its frame, negative inside.
-
-    A lower bound (approximately), scaled to be safe to march.
-    """
+    """Signed distance without detail, in the shape's frame, safe to march by."""
     if shape.grid is None:
         return _drawn_distance(shape, point)
     if shape.is_mesh is None:

@@ -37,8 +37,7 @@ def blur(images: Array, mask: Array, amount: Array) -> Array:
     """Averages with the masked neighbours, weight `amount` for each of four.
 
     Written as products with banded matrices: shifted copies would make the compiler
-    evaluate everything before them several times. Images are `[..., H, W]`, zero
-    outside the mask.
+    evaluate everything before them several times.
     """
     weight = mask.astype(jnp.float32)
     rows, columns = (band(size, amount) for size in mask.shape)

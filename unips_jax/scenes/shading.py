@@ -106,7 +106,7 @@ def shade_key_light(
 def shade_environment(
     geometry: Geometry, surface: Surface, environment: Environment
 ) -> tuple[Array, Array]:
-    """Radiance under the environment in all its N rotations, `[N, 3, P]` for P = H W.
+    """Radiance under the environment in all its N rotations, `[N, 3, P]`.
 
     And what the surface reflects of the object's own light where the object hides the
     environment, `[3, P]`.

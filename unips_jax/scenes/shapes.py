@@ -41,10 +41,7 @@ def draw_detail(
     frequencies: tuple[float, float] = (4.0, 14.0),
     slopes: tuple[float, float] = (0.04, 0.5),
 ) -> Detail:
-    """Draws a fine relief; `draws` has at least 14 numbers, `key` is for the noise.
-
-    Frequencies, in cells per unit of length, and slopes lie between the given ones.
-    """
+    """Draws a fine relief of at least 14 numbers; `key` is for the noise."""
     frequency = draws.log_uniform(*frequencies)
     slope = draws.log_uniform(*slopes)
     pattern = draws.choice([0.45, 0.12, 0.12, 0.12, 0.12])
@@ -67,10 +64,7 @@ def draw_detail(
 
 
 def _profile(draws: Draws, rate: Array) -> tuple[Array, Array]:
-    """Draws `Shape.profile`, that of full width where none, and its steepest slope.
-
-    A third of the profiles are straight: cones.
-    """
+    """Draws `Shape.profile` (a third are cones, some none), and its steepest slope."""
     away = draws.uniform(-0.2, 0.2, NUM_KNOTS - 2)
     heights = jnp.linspace(-1.0, 1.0, NUM_KNOTS).at[1:-1].add(away)
     widths = draws.log_uniform(0.2, 1.0, NUM_KNOTS)
@@ -90,10 +84,7 @@ def _slab(draws: Draws, rate: Array, middle: Array, radius: Array) -> Array:
 
 
 def as_mesh(draws: Draws, shape: Shape, meshes: Array, rate: float) -> Shape:
-    """A mesh of `[M, G, G, G]` for a share of the drawn shapes; its relief stays.
-
-    `draws` has at least 6 numbers; what is always or never wanted is compiled alone.
-    """
+    """A mesh of `[M, G, G, G]` for a share of the drawn shapes; its relief stays."""
     is_mesh = draws.chance(rate)
     stretch = (
         draws.uniform(0.65, 1.0, 3)

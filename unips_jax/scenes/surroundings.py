@@ -45,10 +45,9 @@ def _smooth_step(x: Array) -> Array:
 def environment_radiance(
     environment: Environment, rotation: Array, direction: Point, blur: Array
 ) -> tuple[Array, Array, Array]:
-    """Radiance from a direction, averaged over a lobe around it.
+    """Radiance from unit directions in the world, averaged over a lobe.
 
-    `rotation` is one image's, `direction` unit, in the world, `blur` about the lobe's
-    standard deviation, in radians.
+    `rotation` is one image's, `blur` about the lobe's standard deviation, in radians.
     """
     d = rotate(rotation, direction)
     up = d[1]
@@ -104,10 +103,7 @@ def warmth(draws: Draws, amount: float, *shape: int) -> Array:
 def draw_environment(
     draws: Draws, num_images: int, turn: Array | float = 1.0
 ) -> Environment:
-    """Draws a sky, a room, a studio or a random mixture of lobes.
-
-    `draws` has at least 80 + 5 N numbers; `turn` is as in `Sides`.
-    """
+    """Draws a sky, a room, a studio or a mixture of lobes, of 80 + 5 N numbers."""
     kind = draws.choice([0.3, 0.3, 0.2, 0.2])
     sky, room, studio = kind == 0, kind == 1, kind == 2
     dim = draws.log_uniform(0.02, 0.25)
@@ -166,10 +162,7 @@ class Sun(NamedTuple):
 def draw_photograph(
     draws: Draws, environment: Environment, rate: float
 ) -> tuple[Environment, Sun]:
-    """Puts photographed environments in the place of a share of the drawn ones.
-
-    `draws` has at least 6 numbers.
-    """
+    """Puts photographed environments in the place of a share of the drawn ones."""
     tables = load_tables()
     used = draws.chance(rate)
     part = jnp.where(draws.chance(0.7), 1.0, draws.uniform(0.4, 1.0))

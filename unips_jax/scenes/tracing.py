@@ -131,10 +131,10 @@ def first_crossings(
 
 
 def gradient(function, point: Point) -> Point:
-    """Derivative of a field.
+    """Derivative of a field, forward and in a loop.
 
-    Forward and in a loop: the fields are loops, dear to reverse, and written out the
-    compiler repeats the field for every consumer.
+    The fields are loops, dear to reverse, and written out the compiler repeats the
+    field for every consumer.
     """
 
     def slope(tangent: Array) -> Array:
@@ -179,20 +179,11 @@ def clearance(
     """Closest approach of rays to the object, relative to the distance travelled.
 
     Negative where the ray enters the object; about the angle, in radians, by which it
-    clears it otherwise (I. Quilez's penumbra estimate).
-
-    The march does not shorten the distance for safety as `trace` does (not by more than
-    half): it would end inside larger hollows, before it meets their walls.
-
-    Args:
-        shape: the object.
-        to_object: its pose.
-        origin: just above the surface.
-        direction: unit, towards the light.
-        reach: how far the light is.
-        steps: of the march.
-        first: length of the first step.
-        growth: least length of the others, as a share of the distance travelled.
+    clears it otherwise (I. Quilez's penumbra estimate). The march does not shorten the
+    distance for safety as `trace` does (not by more than half): it would end inside
+    larger hollows, before it meets their walls. `reach` is how far the light is;
+    `first` the length of the first step, `growth` the least of the others, as a share
+    of the distance travelled.
     """
     shortening = jnp.maximum(shape.step_scale, 0.5)
     start = jnp.full(jnp.broadcast_shapes(origin[0].shape, direction[0].shape), first)

@@ -35,12 +35,7 @@ _WHAT = {
 
 
 def archive(name: str, files: list[Path]) -> bytes:
-    """A ZIP of files with the object's name in theirs, and a text on each.
-
-    Args:
-        name: of the object.
-        files: what goes into it.
-    """
+    """A ZIP of files with the object's name in theirs, and a text on each."""
     lines = [f"{name}: normals by unips_jax, and what follows from them.", ""]
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as packed:

@@ -61,11 +61,7 @@ def statements(
     focal: jax.Array | float | None,
     principal_point: tuple[jax.Array | float, jax.Array | float] | None,
 ) -> Statements:
-    """What normals `[H, W, 3]` state of the depth; harmless where there is none.
-
-    Their lengths do not matter, but NaN and 0 are holes. Camera as in
-    `integrate_normals`.
-    """
+    """What normals `[H, W, 3]` state of the depth; harmless where there is none."""
     normals = normals.astype(jnp.float32)
     inside = mask & jnp.isfinite(normals).all(-1) & (jnp.abs(normals).max(-1) > 0)
     normals = jnp.where(inside[..., None], normals, jnp.array([0.0, 0.0, 1.0]))
@@ -94,8 +90,7 @@ def differences(depth: jax.Array) -> Edges:
 def balance(flow: Edges) -> jax.Array:
     """What flows into each pixel from left and top minus what flows out: `[H, W]`.
 
-    The transpose of `differences`, up to the edges that leave the image. The flow is 0
-    where there is no edge.
+    The transpose of `differences`, up to the edges that leave the image.
     """
     across = to_right(flow.right) - flow.right
     return across + to_bottom(flow.down) - flow.down
@@ -104,10 +99,9 @@ def balance(flow: Edges) -> jax.Array:
 def system(
     stated: Statements, depth: jax.Array, sharpness: jax.Array | float
 ) -> tuple[Edges, Edges]:
-    """The weighted least squares around a depth.
+    """The weighted least squares around a depth: each edge's stiffness and difference.
 
-    The depth decides the weights, whose k is `sharpness`; 0 makes them equal. Returns
-    for each edge its stiffness and the difference it asks for; 0 outside.
+    The depth decides the weights, whose k is `sharpness`; 0 makes them equal.
     """
     linked, step = links(stated.inside), differences(depth)
     right = _axis(

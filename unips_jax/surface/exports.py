@@ -47,14 +47,10 @@ def blender_model(
 ) -> tuple[bytes, dict[str, Any]]:
     """A `.glb` with normals, texture coordinates, base colour and normal map.
 
+    Of depth `[H, W]`, NaN where there is no surface, normals and colours `[H, W, 3]`.
     Returns its content, and for the record its size and number of triangles.
 
     Args:
-        depth: `[H, W]`, NaN where there is no surface, at least a triangle.
-        normals: `[H, W, 3]`, unit or 0.
-        scale: of the depth.
-        name: of the object.
-        colors: `[H, W, 3]`, uint8, sRGB.
         max_faces: of the grid, 100,000 if not given.
         directx: green is down in the normal map.
         longest_mm: the object's longest side, instead of the scale.

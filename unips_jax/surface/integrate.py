@@ -123,10 +123,7 @@ def read_prior(
     inside: jax.Array,
     focal: jax.Array | float | None,
 ) -> tuple[Prior, jax.Array]:
-    """Brings a prior `[H, W]`, NaN where unknown, to the equations' unknown.
-
-    Returns it, shifted to mean 0, and its mean before the shift.
-    """
+    """A prior, NaN where unknown, as the equations' unknown of mean 0; and its mean."""
     if prior is None:
         nothing = jnp.zeros(inside.shape, jnp.float32)
         return Prior(nothing, nothing), jnp.zeros((), jnp.float32)
@@ -147,10 +144,7 @@ def reweight(
     sharpness: jax.Array | float,
     until: Solve,
 ) -> jax.Array:
-    """One round: weights from the depth, then the depth that is best for them.
-
-    `depth` is in the unknown of the equations; `sharpness` 0 makes weights equal.
-    """
+    """One round: weights from the depth (the unknown), then the depth best for them."""
     stiffness, asked = system(stated, depth, sharpness)
     faint = Edges(
         *(
@@ -176,10 +170,7 @@ def finish(
     labels: jax.Array,
     focal: jax.Array | float | None,
 ) -> jax.Array:
-    """Sets each island's offset and turns the unknown into depth, 0 outside.
-
-    Islands where the prior's weight is 0 have mean 0; `shift` is added.
-    """
+    """Sets each island's offset and turns the unknown into depth, 0 outside."""
     mean, _ = island_means(depth, inside.astype(depth.dtype), labels)
     _, held = island_means(depth, prior.weight, labels)
     depth = depth - jnp.where(held > 0, 0, mean) + shift

@@ -41,11 +41,7 @@ def label_islands(inside: jax.Array) -> jax.Array:
 def island_means(
     values: jax.Array, weights: jax.Array, labels: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The weighted mean of each island, at each of its pixels, `[H, W]`.
-
-    Weights and their labels, from 0 to H W - 1, are `[H, W]` too. Returns the mean (0
-    where the weights are) and the sum of weights.
-    """
+    """The weighted mean of each island at its pixels, `[H, W]`, and sum of weights."""
     flat, size = labels.ravel(), labels.size
     total = jax.ops.segment_sum((values * weights).ravel(), flat, size)
     weight = jax.ops.segment_sum(weights.ravel(), flat, size)

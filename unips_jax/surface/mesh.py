@@ -40,15 +40,10 @@ def mesh_of_depth(
 ) -> Mesh:
     """Joins neighbouring pixels' surface points by triangles.
 
-    Pixels without a triangle have no vertex.
-
-    Args:
-        depth: `[H, W]`, NaN where there is no surface, growing away from the viewer.
-        focal: in pixels; None for an orthographic camera.
-        principal_point: column and row; None for the middle of the image.
-        pixel_size: side of a pixel in depth's unit; orthographic only.
-        cut: triangles whose depth ranges over more than this many pixels (at their
-            distance) are left out: jumps are not bridged. None keeps all.
+    Pixels without a triangle have no vertex. Depth and camera are those of
+    `integrate_image`; `pixel_size` is in depth's unit, orthographic only. Triangles
+    whose depth ranges over more than `cut` pixels (at their distance) are left out:
+    jumps are not bridged. None keeps all.
     """
     if depth.ndim != 2:
         raise ValueError(f"depth: expected [H, W], got {depth.shape}")
@@ -78,14 +73,10 @@ def write_mesh(
 ) -> int:
     """Writes a mesh of at least a triangle; returns their number.
 
-    Args:
-        path: ends in `.ply`, `.obj` or `.glb`. GLB is in metres where the unit is m,
-            cm or mm, and its colours are linear, as glTF asks; the others hold the
-            unit and sRGB.
-        mesh: from `mesh_of_depth`.
-        colors: `[H, W, 3]`, uint8, sRGB, of the image: colours of the vertices.
-        max_faces: simplified to this many triangles, if it has more (quadric error).
-        unit: of the vertices, stated in the file.
+    `.ply`, `.obj` or `.glb`; GLB is in metres where the unit is m, cm or mm, and its
+    colours are linear, as glTF asks; the others hold the unit and sRGB. Vertices take
+    the colours `[H, W, 3]`, uint8, sRGB, of the image; of more than `max_faces`
+    triangles it is simplified (quadric error).
     """
     import trimesh
 
@@ -131,10 +122,7 @@ def check_mesh_file(path: Path) -> None:
 
 
 def _triangles(depth: np.ndarray) -> np.ndarray:
-    """All triangles of pixels in a square of 2 x 2: `[F, 3]`, int32, flat indices.
-
-    A square is split along the diagonal over which depth differs less.
-    """
+    """All triangles of pixels in a square of 2 x 2: `[F, 3]`, int32, flat indices."""
     there = np.isfinite(depth)
     index = np.arange(depth.size, dtype=np.int32).reshape(depth.shape)
 

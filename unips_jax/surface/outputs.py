@@ -18,11 +18,7 @@ MeshFormat = Literal["ply", "obj", "glb"]
 
 
 def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float | None:
-    """The focal length that `--focal` asks for, in pixels; None if orthographic.
-
-    `asked` is a number, "exif", or None; `exif` None where the photograph `file` has
-    none.
-    """
+    """The focal length in pixels by `--focal`, a number or "exif"; None without it."""
     if asked is None:
         return None
     if asked == "exif":
@@ -104,14 +100,10 @@ def write_surface(
 ) -> dict[str, Any]:
     """Integrates normals and writes depth, height and, on request, a mesh.
 
-    Returns for the record camera, islands, rounds, unit and scale, the meaning of
-    levels. `InputError` if no pixel has a normal, or the mesh cannot be written.
-
-    Args:
-        folder: where; it exists.
-        normals: `[H, W, 3]`, as mask and prior for `integrate_image`.
-        colors: `[H, W, 3]`, uint8 or uint16, sRGB: the mesh's colours.
-        progress: called with the fraction of the integration done.
+    Mask and prior are as for `integrate_image`; `colors [H, W, 3]`, uint8 or uint16,
+    sRGB, are the mesh's. Returns for the record camera, islands, rounds, unit and
+    scale, the meaning of levels. `InputError` if no pixel has a normal, or the mesh
+    cannot be written.
     """
     from unips_jax.surface.images import integrate_image
 

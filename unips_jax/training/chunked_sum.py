@@ -23,18 +23,9 @@ def chunked_sum(
 
     Where a derivative is asked for, each chunk's gradient is computed together with its
     value, and the derivative is the product with it. So nothing of a chunk is kept or
-    recomputed, and all of it stays in cache.
-
-    Args:
-        function: of `params`, and of the chunks of `xs` and of `constants`; returns a
-            sum, and arrays with the chunk's leading axis.
-        params: differentiable.
-        xs: arrays `[P, ...]`, differentiable.
-        constants: arrays `[P, ...]`, taken as constants.
-        size: of the chunks, the last one padded with zeros; None: all at once.
-
-    Returns:
-        The sum, and the function's arrays, `[P, ...]`, without a derivative.
+    recomputed, and all of it stays in cache. `function(params, xs, constants)` returns
+    a sum, and arrays with the chunk's leading axis: they come back, `[P, ...]`, without
+    a derivative. The last chunk is padded with zeros; size None: all at once.
     """
     total = jax.tree.leaves(xs)[0].shape[0]
     parts = split_chunks((xs, constants), size or total)

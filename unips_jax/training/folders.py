@@ -33,18 +33,10 @@ def folder_batches(
 ) -> Iterator[dict[str, np.ndarray]]:
     """Endless batches of PS-Wild objects, shuffled anew every epoch.
 
-    Yields `images [B, N, size, size, 3]`, `mask [B, size, size]` and
-    `normals [B, size, size, 3]`, B being this process' share of the batch.
-
-    Args:
-        root: see `PSWildFolders`.
-        size: side of the images.
-        batch_size: objects per step, over all processes.
-        num_images: the set sizes that steps draw from.
-        seed: of order, set sizes and choice of photographs.
-        first: batches to skip.
-        process: this process' number and how many share a batch.
-        workers: reading processes; 0 reads in threads of this one.
+    Yields `images [B, N, size, size, 3]`, `mask [B, size, size]` and `normals [B, size,
+    size, 3]`, B being this process' share of the batch, after the `first` ones.
+    `process` is its number and how many share a batch; with no `workers`, threads of
+    this one read.
     """
     source = PSWildFolders(Path(root), min_images=max(num_images))
 

@@ -76,10 +76,7 @@ class TrainLog:
         self._untimed += time.monotonic() - start
 
     def step(self, step: int, metrics: Mapping[str, Any]) -> None:
-        """Takes a step's metrics; prints those of the first, then means.
-
-        Metrics are scalars, on the device until they are needed.
-        """
+        """Takes a step's metrics, on the device until needed, and prints means."""
         self._pending.append(metrics)
         if step % self._every == 0:
             means = _means(jax.device_get(self._pending))

@@ -220,10 +220,7 @@ def training_loss(
 def _guess_losses(
     guesses: Guesses, objects: Objects, frame_kind: FrameKind
 ) -> dict[str, Array]:
-    """Mean distances of the guessed normals and lights from the true ones.
-
-    Unknown lights are left out of the result.
-    """
+    """Mean distances of guessed normals and lights from what is known of them."""
     grid = guesses.normals.shape[1]
 
     def score(guess: Array, mask: Array, normals: Array) -> Array:

@@ -20,10 +20,7 @@ class DrawnPixels(NamedTuple):
 
 
 def draw_pixels(mask: Array, count: int, key: Array) -> DrawnPixels:
-    """Draws `count` pixels of a mask `[H, W]` uniformly, without replacement.
-
-    Some are outside where the mask is smaller.
-    """
+    """Draws pixels of `[H, W]`, all different; some outside where masks are small."""
     flat = mask.reshape(-1)
     order = jnp.where(flat, jax.random.uniform(key, flat.shape), -1)
     chosen, index = jax.lax.top_k(order, min(count, flat.size))
@@ -46,11 +43,7 @@ def draw_blocks(mask: Array, count: int, key: Array) -> DrawnPixels:
 
 
 def steepness(normals: Array, inside: Array) -> Array:
-    """How much normals change within each block: the mean distance of its neighbours.
-
-    Of the true normals `[P, 3]` of blocks: `[P]`, in [0, 2], the same for all four
-    pixels of a block.
-    """
+    """How much true normals `[P, 3]` change within each block, `[P]` in [0, 2]."""
     blocks, change = inside.reshape(-1, BLOCK), _changes(normals)
     pairs = blocks[:, _FROM] & blocks[:, _TO]
     mean = jnp.sum(pairs * jnp.linalg.norm(change, axis=-1), axis=-1)

@@ -60,15 +60,7 @@ def check_input(config: Config, mesh: Mesh) -> None:
 
 
 def check_memory(state: Any, mesh: Mesh) -> None:
-    """Refuses a network whose training state alone no device can hold.
-
-    Args:
-        state: shapes, types and shardings; see `TrainState`.
-        mesh: the devices.
-
-    Raises:
-        InputError: naming the fields.
-    """
+    """Refuses a network whose training state alone no device can hold."""
     device = mesh.local_devices[0]  # of others nothing is known here
     most = (device.memory_stats() or {}).get("bytes_limit", 0)
     if device.platform == "cpu" and hasattr(os, "sysconf"):

@@ -1,7 +1,6 @@
 """Where arrays live: batches split over devices, parameters too if asked (FSDP).
 
-One jitted step serves one device, data parallelism and FSDP; only these shardings
-differ.
+One jitted step serves all; only these shardings differ.
 """
 
 from typing import Any
@@ -47,10 +46,9 @@ def replicated(mesh: Mesh) -> NamedSharding:
 
 
 def state_sharding(state: Any, mesh: Mesh) -> Any:
-    """Shardings of a training state: large arrays are split along "fsdp".
+    """Shardings of a training state, or of its shapes: large arrays are split.
 
-    Each is split along its longest axis that the devices divide; source: big_vision.
-    `state` may hold arrays or their shapes.
+    Each along its longest axis that the devices of "fsdp" divide; source: big_vision.
     """
     parts = mesh.shape["fsdp"]
 

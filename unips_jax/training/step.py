@@ -67,12 +67,7 @@ def augment(scene: Objects, key: Array) -> Objects:
 def batch_loss(
     params: Any, batch: Batch, key: Array, *, config: Config
 ) -> tuple[Array, dict[str, Array]]:
-    """Mean loss over a batch of objects, and the mean of their metrics.
-
-    `batch` has `images [B, N, H, H, 3]`, `mask [B, H, H]`, `normals [B, H, H, 3]`, and
-    `lights [B, N, 3]` and `incident` where they are known; `key` is for augmentation,
-    pixels and dropout.
-    """
+    """Mean loss over a batch of objects, and the mean of their metrics."""
     keys = jax.random.split(key, (2, len(batch["mask"])))
     return _loss(params, batch, keys[0], keys[1], config=config)
 
@@ -111,9 +106,6 @@ def batch_gradient(params: Any, batch: Batch, key: Array, *, config: Config) -> 
 
     With microbatches, the means over parts of the batch, of which one at a time is in
     memory. What is drawn for an object is the same, but for dropout.
-
-    Returns:
-        The loss with the metrics, and the gradient by the parameters.
     """
     gradient = jax.value_and_grad(functools.partial(_loss, config=config), has_aux=True)
     objects = batch, *jax.random.split(key, (2, len(batch["mask"])))

@@ -15,10 +15,7 @@ class Sink(Protocol):
     """Takes what a run measures; only the first process calls it."""
 
     def write_scalars(self, step: int, scalars: Mapping[str, float]) -> None:
-        """Takes numbers by their names.
-
-        A resumed run sends those of steps after its checkpoint again.
-        """
+        """Takes numbers by their names; a resumed run sends some again."""
 
     def write_images(self, step: int, images: Mapping[str, np.ndarray]) -> None:
         """Takes pictures, `[1, H, W, 3]`, uint8, by their names."""

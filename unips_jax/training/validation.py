@@ -82,19 +82,11 @@ def validate(
     description: str = "validating",
     **scene_options: Any,
 ) -> dict[str, float]:
-    """Scores a network on held-out scenes.
+    """Mean angular errors on held-out scenes, in degrees.
 
-    Returns mean angular errors in degrees: "mae" over all scenes, "constant" for a
-    normal towards the viewer, and one per group, such as "light/directional".
-
-    Args:
-        network: what is scored.
-        scenes: the distribution of scenes.
-        count: how many scenes.
-        num_images: images of each; the scenes' objects do not depend on it.
-        size: side of the images in pixels.
-        description: shown with the progress.
-        **scene_options: passed to `render_scene`, such as `light_kind`.
+    "mae" over all scenes, "constant" for a normal towards the viewer, and one per
+    group, such as "light/directional". The scenes' objects do not depend on
+    `num_images`; options go to `render_scene`, such as `light_kind`.
     """
     errors: dict[str, list[float]] = {}
     held_out = estimate_held_out(
@@ -132,10 +124,7 @@ def score_table(scores: dict[str, float]) -> str:
 def validation_pictures(
     network: UniversalNetwork, config: Config, count: int = 4
 ) -> dict[str, np.ndarray]:
-    """Rows of an image, the true normals, the estimate and its error map.
-
-    A picture `[H, 4 H, 3]`, uint8, for each of `count` held-out scenes, by its name.
-    """
+    """Rows of image, true normals, estimate, errors: `[H, 4 H, 3]` by scenes' names."""
     held_out = estimate_held_out(
         network,
         config.scenes,

@@ -28,14 +28,7 @@ _TOP = 65535
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """Which part of a result is shown, and how large.
-
-    Attributes:
-        rows: of the result.
-        columns: of the result.
-        width: in the page's pixels.
-        height: in the page's pixels.
-    """
+    """Which part of a result is shown, and how large in the page's pixels."""
 
     rows: slice
     columns: slice
@@ -65,12 +58,7 @@ class View:
 
 
 def view_of(inside: np.ndarray, side: int) -> View:
-    """The object with a margin.
-
-    Args:
-        inside: `[H, W]`, bool, with at least one pixel.
-        side: limit of the longer side, in pixels.
-    """
+    """The object with a margin, on a page of at most `side` pixels."""
     rows, columns = frame(inside)
     height, width = rows.stop - rows.start, columns.stop - columns.start
     scale = max(1.0, max(height, width) / side)
@@ -153,13 +141,7 @@ def _error(result: Result, view: View, kept: np.ndarray) -> dict[str, Any] | Non
 
 
 def color_of(result: Result, view: View, mean: np.ndarray | None) -> dict | None:
-    """The object's colours: base colour if there is one, else the mean photograph.
-
-    Args:
-        result: what to show.
-        view: which part.
-        mean: of the photographs, `[height, width, 3]`, linear; None without any.
-    """
+    """The object's colours: base colour if there is one, else the mean photograph."""
     if result.base_color is not None:
         linear, kind = view.shrink(result.base_color), "base"
     elif mean is not None:
@@ -173,11 +155,9 @@ def color_of(result: Result, view: View, mean: np.ndarray | None) -> dict | None
 def photographs_as_pictures(
     photographs: tuple[Photograph, ...], view: View, inside: np.ndarray
 ) -> tuple[list[tuple[str, np.ndarray]], np.ndarray | None]:
-    """Reads all photographs, one by one.
+    """Names and pictures `[height, width, 3]`, uint8, of at most 24 photographs.
 
-    Returns:
-        Names and pictures, `[height, width, 3]`, uint8, of at most 24 of them, evenly
-        chosen, and the mean of all, linear.
+    Evenly chosen. All are read, one by one, for their mean, which is linear.
     """
     if not photographs:
         return [], None

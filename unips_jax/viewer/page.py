@@ -40,24 +40,13 @@ FOLDER_RECORD = "tiles.json"
 
 
 def write_view(path: Path, result: Result) -> None:
-    """Writes a result's page; notes in the page that is there already are kept.
-
-    Raises:
-        InputError: if a photograph cannot be read any more, or the file system refuses.
-    """
+    """Writes a result's page; notes in the page that is there already are kept."""
     notes = _notes_for(result, path)
     write_whole(path, page(result, notes=notes).encode())
 
 
 def write_tiled_view(folder: Path, result: Result) -> int:
-    """Writes a result's page as a folder with all its pixels; notes are kept.
-
-    Returns:
-        The number of tiles, 0 if the page itself has all pixels.
-
-    Raises:
-        InputError: see `write_view`.
-    """
+    """Writes a page and tiles of all pixels; returns how many, 0 if none are needed."""
     notes = _notes_for(result, folder / "index.html")
     with appearing_at_once(folder, record=FOLDER_RECORD) as place:
         html, view = _page(result, notes, tiled=True)
@@ -88,10 +77,7 @@ def notes_in(path: Path) -> dict[str, Any] | None:
 
 
 def with_depth(result: Result) -> Result:
-    """The result with a depth, integrated from the normals if there is none.
-
-    In the size of the page, which is enough to look at.
-    """
+    """The result with a depth, integrated in the page's size if there is none."""
     if result.depth is not None:
         return result
     import cv2
@@ -116,12 +102,7 @@ def with_depth(result: Result) -> Result:
 
 
 def page(result: Result, *, notes: dict[str, Any] | None = None) -> str:
-    """The page's HTML, of at most 6 MB.
-
-    Args:
-        result: what to show.
-        notes: from `notes_in` of an earlier page.
-    """
+    """The page's HTML, of at most 6 MB, with `notes_in` of an earlier page."""
     return _page(result, notes)[0]
 
 

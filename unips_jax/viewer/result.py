@@ -19,47 +19,29 @@ from unips_jax.surface.depth_files import read_depth
 
 @dataclasses.dataclass(frozen=True)
 class Photograph:
-    """One of the photographs.
-
-    Attributes:
-        name: of its file.
-        read: gives its pixels, `[H, W, 3]`, linear, float32.
-        bright: whether it is to be exposed anew: linear files are of any scale.
-    """
+    """One of the photographs."""
 
     name: str
-    read: Callable[[], np.ndarray]
-    bright: bool = False
+    read: Callable[[], np.ndarray]  # [H, W, 3], linear, float32
+    bright: bool = False  # to be exposed anew: linear files are of any scale
 
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """Normals and what belongs to them, all of one size.
+    """Normals and what belongs to them, all of one size."""
 
-    Attributes:
-        title: the object's name.
-        normals: `[H, W, 3]`, float32, unit length or 0.
-        photographs: in their order; may be empty.
-        depth: `[H, W]`, float32, away from the viewer, NaN where there is none.
-        unit: of the depth.
-        pixel_size: side of a pixel in that unit (orthographic).
-        focal: of the depth's camera, in pixels; None: orthographic.
-        pixel_mm: side of a pixel in millimetres, at the mean distance; None: not known.
-        base_color: `[H, W, 3]`, linear, float32, in [0, 1].
-        expected_error: `[H, W]`, float32, degrees.
-        record: the content of `normals.json`.
-    """
-
-    title: str
-    normals: np.ndarray
+    title: str  # the object's name
+    normals: np.ndarray  # [H, W, 3], float32, unit length or 0
     photographs: tuple[Photograph, ...] = ()
+    # [H, W], float32, away from the viewer, NaN where none
     depth: np.ndarray | None = None
     unit: str = "pixels"
-    pixel_size: float = 1.0
-    focal: float | None = None
-    pixel_mm: float | None = None
-    base_color: np.ndarray | None = None
-    expected_error: np.ndarray | None = None
+    pixel_size: float = 1.0  # in the unit (orthographic)
+    focal: float | None = None  # in pixels; None: orthographic
+    pixel_mm: float | None = None  # at the mean distance, if known
+    base_color: np.ndarray | None = None  # [H, W, 3], linear, float32, in [0, 1]
+    expected_error: np.ndarray | None = None  # [H, W], float32, degrees
+    # the content of `normals.json`
     record: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
@@ -85,15 +67,8 @@ def photographs_of(
 def read_result(folder: Path, photographs: Path | None = None) -> Result:
     """Reads a folder that `unips estimate` wrote.
 
-    Photographs are shown if they are still where they were, unchanged.
-
-    Args:
-        folder: the results.
-        photographs: where the photographs are now, if not where they were.
-
-    Raises:
-        InputError: if it is no such folder, its files were changed, or a photograph is
-            not the one that it was, in the folder given.
+    Photographs are shown if they are where they were, or in the folder given,
+    unchanged.
     """
     record = whole_record(folder)
     normals = read_normal_map(folder).normals
@@ -116,11 +91,7 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
 
 
 def maps_of(folder: Path, size: tuple[int, ...]) -> dict[str, Any]:
-    """Base colour and expected error of a folder of results: fields of `Result`.
-
-    Raises:
-        InputError: if a file cannot be read, or has another size than the normals.
-    """
+    """Base colour and expected error of a folder of results: fields of `Result`."""
     maps = {}
     color, error = folder / "base_color.png", folder / "confidence.exr"
     if color.is_file():

@@ -47,16 +47,7 @@ def facts_of(view: View) -> dict[str, Any] | None:
 
 
 def write_tiles(folder: Path, result: Result, view: View) -> int:
-    """Writes `LAYER-LEVEL-ROW-COLUMN.js` of normals, colours and photographs.
-
-    Args:
-        folder: exists.
-        result: read once more, photograph by photograph.
-        view: that of the page.
-
-    Returns:
-        How many there are.
-    """
+    """Writes, and counts, `LAYER-LEVEL-ROW-COLUMN.js` of all that has pixels."""
     count = 0
     levels = level_views(view)
 

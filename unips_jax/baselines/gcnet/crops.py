@@ -21,15 +21,9 @@ def normalise(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Scales images so that their maximum over the mask is where `norm` puts it.
 
-    Args:
-        images: `[N, H, W, 3]`.
-        mask: `[H, W]`, bool, not empty.
-        norm: maximum at 0.1 ("range01"), at 10 ("literal10"), or as it is ("none").
-        per: one maximum for each image, or one for the stack. An image that is black
-            inside the mask is left as it is.
-
-    Returns:
-        The images, and the factor of each, `[N]`.
+    At 0.1 ("range01"), at 10 ("literal10"), or as it is ("none"); one maximum for each
+    image, or one for the stack. Images that are black inside the mask are left as they
+    are. Returns the images, and the factor of each, `[N]`.
     """
     require_choice("norm", norm, get_args(Norm))
     require_choice("per", per, get_args(Per))

@@ -44,15 +44,10 @@ def hard_lights(logits: Logits) -> tuple[Array, Array]:
 
 
 def decode(azimuth: Array, elevation: Array, intensity: Array) -> tuple[Array, Array]:
-    """Light from (real-valued) classes, at the classes' centres.
+    """Directions `[..., 3]` and intensities `[..., 1]` at (real-valued) classes.
 
-    Args:
-        azimuth: `[...]`, in [0, 35]: atan(x / z) in steps of 5 degrees from -90.
-        elevation: `[...]`, in [0, 35]: atan(y / hypot(x, z)) in the same steps.
-        intensity: `[...]`, in [0, 19]: steps of 0.09 from 0.2.
-
-    Returns:
-        Unit directions `[..., 3]` and intensities `[..., 1]`.
+    Azimuth, atan(x / z), and elevation, atan(y / hypot(x, z)), are in steps of 5
+    degrees from -90; intensity is in steps of 0.09 from 0.2.
     """
     theta, phi = (
         jnp.deg2rad((c + 0.5) / NUM_ANGLES * 180 - 90) for c in (azimuth, elevation)

@@ -216,10 +216,7 @@ class GCNet(nn.Module):
 
 
 def with_lights(images: Array, directions: Array, intensities: Array) -> Array:
-    """A normal network's input: image over intensity, and the light's direction.
-
-    Images are `[..., H, W, 3]`, the result `[..., H, W, 6]`.
-    """
+    """A normal network's input `[..., H, W, 6]`: image over intensity, direction."""
     scaled = images / (intensities[..., None, None, :] + 1e-8)
     spread = jnp.broadcast_to(directions[..., None, None, :], images.shape)
     return jnp.concatenate([scaled, spread], axis=-1)
@@ -234,10 +231,7 @@ def normals_by_chunks(
     *,
     chunk: int = 8,
 ) -> Array:
-    """Normals `[H, W, 3]` of one object, unit, a few images in memory at a time.
-
-    Images are `[N, H, W, 3]`, masked, their sides multiples of 4; lights `[N, 3]`.
-    """
+    """Unit normals `[H, W, 3]` of one object, a few images in memory at a time."""
     count = images.shape[0]
     chunk = min(chunk, count)
     order = jnp.minimum(jnp.arange(-(-count // chunk) * chunk), count - 1)

@@ -25,10 +25,7 @@ _LEAST_Z = 0.05
 def frame_by_silhouette(
     field: np.ndarray, mask: np.ndarray, *, name: str
 ) -> np.ndarray:
-    """Turns a field of unit normals so that it faces outwards on the silhouette.
-
-    It is `[H, W, 3]`, known up to an orthogonal matrix.
-    """
+    """Turns unit normals `[H, W, 3]` so that they face outwards on the silhouette."""
     rim, outward = silhouette(mask, name=name)
     facing = np.zeros((3, 3))
     facing[:, :2] = field[rim].T @ outward / len(outward)

@@ -73,10 +73,7 @@ def update_albedo(state: State, problem: Problem) -> Array:
 
 
 def update_lighting(state: State, problem: Problem, active: Array) -> Array:
-    """The lighting `[N, C, 9]` of every image and channel by weighted least squares.
-
-    `active` is `[9]`, 1.0 for the harmonics in use, 0.0 for the others.
-    """
+    """The lighting `[N, C, 9]` by weighted least squares, in active harmonics."""
     residual, shading = model.residuals(*state, problem)
     weights = model.cauchy_weights(residual) * problem.mask
     weights = jnp.where(problem.clamp & (shading <= 0), 0.0, weights)
@@ -132,11 +129,7 @@ def _reduce(
 
 
 def _newton_step(matrix: Array, vector: Array, problem: Problem) -> Array:
-    """Solves (A^T H A) step = -A^T h for the depth, `[H, W]`.
-
-    A pixel's normal depends on the pixel, its right and its lower neighbour, so the
-    matrix is a stencil of seven points.
-    """
+    """Solves (A^T H A) step = -A^T h for the depth, a stencil of seven points."""
     mask, u, v, k = problem.mask, problem.u, problem.v, problem.perspective
     zero, focal = jnp.zeros_like(u), problem.focal
     rows = {

@@ -103,10 +103,7 @@ def length_of(normals: Array) -> Array:
 
 
 def harmonics(m: Array) -> Array:
-    """Real spherical harmonics of order 2, `[9, ...]`, as polynomials of any vector.
-
-    The three linear ones, the constant, the five quadratic ones.
-    """
+    """Harmonics of order 2, `[9, ...]`, of any vector: linear, constant, quadratic."""
     x, y, z = m
     linear = [_W1 * x, _W1 * y, _W1 * z, _W0 * jnp.ones_like(x)]
     products = [_A * x * y, _A * x * z, _A * y * z]
@@ -135,11 +132,7 @@ def shade(lighting: Array, normals: Array) -> Array:
 def residuals(
     depth: Array, length: Array, albedo: Array, lighting: Array, problem: Problem
 ) -> tuple[Array, Array]:
-    """Rendered minus observed, and the shading, `[N, C, H, W]`.
-
-    Residuals are zero outside the mask, and shading is clipped at zero if
-    `problem.clamp`.
-    """
+    """Rendered minus observed, 0 outside the mask; and the shading, `[N, C, H, W]`."""
     shading = shade(lighting, raw_normals(depth, problem) / length)
     shading = jnp.where(problem.clamp, jnp.maximum(shading, 0.0), shading)
     difference = albedo * shading - problem.images

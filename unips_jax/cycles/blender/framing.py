@@ -10,10 +10,7 @@ _TOLERANCE = 0.01  # of the frame's half side
 
 
 def camera_distance(focal_mm: float | None) -> float:
-    """From the origin, at which the plane z = 0 is seen within a circle of radius 1.
-
-    `focal_mm` is of a frame of `FRAME_MM`; None for an orthographic camera, 10 away.
-    """
+    """From the origin, at which the plane z = 0 is seen within a circle of radius 1."""
     return 10.0 if focal_mm is None else math.hypot(1, 2 * focal_mm / FRAME_MM)
 
 

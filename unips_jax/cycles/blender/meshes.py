@@ -101,8 +101,7 @@ def outward(mesh: Any) -> Any:
 def read_mesh(file: str) -> Any:
     """All meshes of a file that it would render, joined, in the file's own places.
 
-    Normals and shading are the file's; without normals in it, other than in a .blend,
-    meshes are shaded smoothly but for sharp edges.
+    Without normals in it, other than in a .blend, they are smooth but for sharp edges.
     """
     suffix = file.rsplit(".", 1)[-1].lower()
     if suffix == "blend":

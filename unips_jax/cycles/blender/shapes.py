@@ -19,10 +19,7 @@ Generator = np.random.Generator
 
 
 def build(kind: str = "", seed: int = 0, file: str = "") -> Any:
-    """Makes a `bpy` mesh: of a key of `KINDS`, "sphere", or a file (see `read_mesh`).
-
-    Those made here are shaded smoothly but for sharp edges.
-    """
+    """Makes a `bpy` mesh: a key of `KINDS`, "sphere", or a file (see `read_mesh`)."""
     if file:
         return read_mesh(file)
     if kind == "sphere":

@@ -47,10 +47,7 @@ class Studio:
         )
 
     def build(self, shape: dict[str, Any], material: dict[str, Any]) -> int:
-        """Starts an empty file with one object in it; returns how many vertices it has.
-
-        See `shapes.build` and `materials.build`.
-        """
+        """Starts an empty file with one object; returns its number of vertices."""
         bpy.ops.wm.read_factory_settings(use_empty=True)
         scene = bpy.context.scene
         mesh = shapes.build(**shape)
@@ -79,11 +76,7 @@ class Studio:
         return len(self.points)
 
     def place(self, rotation: list[float], focal_mm: float | None) -> bool:
-        """Turns the object and moves it so that its outline reaches the frame's edge.
-
-        `rotation` is a quaternion, w first. Returns whether that was possible; see
-        `framing.fit`.
-        """
+        """Turns the object (w first) to reach the frame's edge; whether it can."""
         turned = self.points @ np.array(Quaternion(rotation).to_matrix()).T
         camera = bpy.context.scene.camera
         if focal_mm is None:
