@@ -194,8 +194,9 @@ class _Linear(nn.Module):
     @nn.compact
     def __call__(self, in_features: int) -> tuple[Array, Array]:
         shape = (in_features, self.features)
-        kernel = self.param("kernel", truncated_normal(), shape)
-        return kernel, self.param("bias", nn.initializers.zeros, (self.features,))
+        kernel = self.param("kernel", truncated_normal(), shape, jnp.float32)
+        zeros = nn.initializers.zeros
+        return kernel, self.param("bias", zeros, (self.features,), jnp.float32)
 
 
 class PMA(nn.Module):
@@ -220,7 +221,10 @@ class PMA(nn.Module):
         """Sets `[..., N, C]` to `[..., num_seeds, features]`; `valid [N]`: members."""
         pre_norm = self.attention == "pre_norm"
         seeds = self.param(
-            "seeds", nn.initializers.xavier_uniform(), (self.num_seeds, self.features)
+            "seeds",
+            nn.initializers.xavier_uniform(),
+            (self.num_seeds, self.features),
+            jnp.float32,
         )
         seeds = jnp.asarray(seeds, self.dtype)
         queries = seeds

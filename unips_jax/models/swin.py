@@ -72,6 +72,7 @@ class WindowAttention(nn.Module):
             "relative_position_bias_table",
             truncated_normal(),
             ((2 * self.window_size - 1) ** 2, self.num_heads),
+            jnp.float32,
         )
         qkv = dense(3 * c, self.dtype, "qkv")(x)
         q, k, v = jnp.split(qkv, 3, axis=-1)  # [B * windows, T, C]

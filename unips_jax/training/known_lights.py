@@ -22,14 +22,15 @@ def draw_known_lights(incident: IncidentLight, key: Array, share: float) -> Arra
     known = jnp.asarray(incident.lamp_known) & (incident.lamp_share > _LEAST_SHARE)
     keys = jax.random.split(key, 4)
     some, exact, gaps = jax.random.bernoulli(
-        keys[0], jnp.array([share, 0.4, 0.5]), (3,)
+        keys[0], jnp.array([share, 0.4, 0.5], jnp.float32), (3,)
     )
-    error = jnp.where(exact, 0, jax.random.uniform(keys[1], maxval=_LARGEST_ERROR))
+    uneven = jax.random.uniform(keys[1], (), jnp.float32, maxval=_LARGEST_ERROR)
+    error = jnp.where(exact, 0, uneven)
     given = known & some
-    lacking = jax.random.bernoulli(keys[2], 0.3, known.shape)
+    lacking = jax.random.bernoulli(keys[2], jnp.float32(0.3), known.shape)
     given &= ~(gaps & lacking)
     # A normal error across the direction: two axes share its square.
-    noise = jax.random.normal(keys[3], directions.shape) * error / 2**0.5
+    noise = jax.random.normal(keys[3], directions.shape, jnp.float32) * error / 2**0.5
     across = noise - directions * jnp.sum(noise * directions, axis=-1, keepdims=True)
     seen = ops.normalize(directions + across) * jnp.cos(error)
     return jnp.where(given[:, None], seen, 0)

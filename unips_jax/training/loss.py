@@ -108,6 +108,7 @@ def plain_distance(squared: Array) -> Array:
 
 def mean_weights(mask: Array) -> Array:
     """Weights `[P]` of masked pixels in their mean; all zero for an empty mask."""
+    mask = jnp.asarray(mask, jnp.float32)
     return mask / jnp.maximum(jnp.sum(mask), 1)
 
 

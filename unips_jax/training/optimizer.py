@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import jax
+import numpy as np
 import optax
 import optax.contrib
 
@@ -12,7 +13,7 @@ from unips_jax.training.config import Config, OptimConfig
 # Optax's own five iterations. Given one by one they run in a loop; unrolled, as they
 # are otherwise, XLA on CPU repeats parts of each in the next and takes half again as
 # long.
-_NEWTON_SCHULZ = ((3.4445, -4.7750, 2.0315),) * 5
+_NEWTON_SCHULZ = np.array([(3.4445, -4.7750, 2.0315)] * 5, np.float32)
 
 # Inputs per output up to which Muon's step on a convolution is taken whole.
 _WIDE = 256

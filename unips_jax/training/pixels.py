@@ -22,7 +22,7 @@ class DrawnPixels(NamedTuple):
 def draw_pixels(mask: Array, count: int, key: Array) -> DrawnPixels:
     """Draws pixels of `[H, W]`, all different; some outside where masks are small."""
     flat = mask.reshape(-1)
-    order = jnp.where(flat, jax.random.uniform(key, flat.shape), -1)
+    order = jnp.where(flat, jax.random.uniform(key, flat.shape, jnp.float32), -1)
     chosen, index = jax.lax.top_k(order, min(count, flat.size))
     return DrawnPixels(index, chosen >= 0)
 

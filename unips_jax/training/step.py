@@ -27,7 +27,8 @@ def augment(scene: Objects, key: Array) -> Objects:
     left out: it is not turned. Source: UniPS (Ikehata, CVPR 2022), supplement.
     """
     flip_key, colour_key, order_key = jax.random.split(key, 3)
-    horizontal, vertical, transpose = jax.random.bernoulli(flip_key, 0.5, (3,))
+    half = jnp.float32(0.5)  # its type is that of the draws
+    horizontal, vertical, transpose = jax.random.bernoulli(flip_key, half, (3,))
 
     def apply(scene: Objects, when: Array, change: Any, turn: Any) -> Objects:
         images, mask, normals, lights, *_ = scene
@@ -57,7 +58,7 @@ def augment(scene: Objects, key: Array) -> Objects:
     orders = jax.vmap(lambda k: jax.random.permutation(k, 3))(
         jax.random.split(order_key, n)
     )
-    permuted = jax.random.bernoulli(colour_key, 0.5, (n,))
+    permuted = jax.random.bernoulli(colour_key, half, (n,))
     orders = jnp.where(permuted[:, None], orders, jnp.arange(3))
     # As a product: gathers along the last axis are slow.
     mixing = jax.nn.one_hot(orders, 3, dtype=images.dtype)  # [N, new, old]
@@ -144,9 +145,8 @@ def train_step(
     ema_params = state.ema_params
     if ema_params is not None:
         # Short memory at first, so that the average forgets the initial parameters.
-        decay = jnp.minimum(
-            config.optim.ema_decay, (1 + state.step) / (10 + state.step)
-        )
+        step = state.step.astype(jnp.float32)
+        decay = jnp.minimum(config.optim.ema_decay, (1 + step) / (10 + step))
         ema_params = optax.incremental_update(params, ema_params, 1 - decay)
     metrics = {
         "loss": loss,
