@@ -41,11 +41,17 @@ def get_config() -> Config:
         tiny,
         scenes=dataclasses.replace(
             tiny.scenes,
-            # fabric, concrete, wood, floor, ground, metal, uniform, dark, glossy,
-            # painted metal
             material_weights=(
-                *(0.05, 0.05, 0.05, 0.04, 0.04),
-                *(0.5, 0.06, 0.03, 0.08, 0.1),
+                0.05,  # fabric
+                0.05,  # concrete
+                0.05,  # wood
+                0.04,  # floor
+                0.04,  # ground
+                0.5,  # metal
+                0.06,  # uniform
+                0.03,  # dark
+                0.08,  # glossy
+                0.1,  # painted metal
             ),
             metal_spot_rate=0.2,
         ),

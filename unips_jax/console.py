@@ -21,9 +21,7 @@ _T = TypeVar("_T")
 class Command(Protocol):
     """A command's `main`: takes arguments, returns the exit status."""
 
-    def __call__(self, argv: Sequence[str] | None = None) -> int:
-        """Runs the command."""
-        ...
+    def __call__(self, argv: Sequence[str] | None = None) -> int: ...
 
 
 def command(main: Callable[[Sequence[str] | None], None]) -> Command:

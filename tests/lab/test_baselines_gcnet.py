@@ -192,7 +192,10 @@ def test_classes_are_read_at_their_centres():
     directions, intensities = gcnet_lights.decode(azimuth, elevation, intensity)
     lean, stand = np.sin(np.deg2rad(87.5)), np.cos(np.deg2rad(87.5))
     expected = [
-        *([-lean, 0, stand], [0, 0, 1], [middle, 0, middle], [0, middle, middle]),
+        [-lean, 0, stand],
+        [0, 0, 1],
+        [middle, 0, middle],
+        [0, middle, middle],
         [stand * lean, lean, stand * stand],
     ]
     np.testing.assert_allclose(directions, expected, atol=1e-6)

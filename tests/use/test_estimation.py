@@ -418,7 +418,7 @@ def test_strict_promotion_is_enough(config):
 
     def loss(network, images, mask, valid):
         normals = estimate_normals(
-            *(network, images, mask), valid=valid, uniform_contexts=True
+            network, images, mask, valid=valid, uniform_contexts=True
         )
         return jnp.sum(normals)
 

@@ -53,10 +53,14 @@ def test_even_surroundings_show_the_albedo():
 
 def test_surroundings_come_from_where_the_picture_says():
     rows, columns = 16, 32
-    for (row, column), axis in (
-        *(((0, 0), (0, 1, 0)), ((8, 16), (0, 0, -1))),
-        *(((8, 24), (1, 0, 0)), ((8, 8), (-1, 0, 0)), ((8, 0), (0, 0, 1))),
-    ):
+    axes = {
+        (0, 0): (0, 1, 0),
+        (8, 16): (0, 0, -1),
+        (8, 24): (1, 0, 0),
+        (8, 8): (-1, 0, 0),
+        (8, 0): (0, 0, 1),
+    }
+    for (row, column), axis in axes.items():
         around = np.zeros((rows, columns, 3), np.float32)
         around[max(row - 1, 0) : row + 1, max(column - 1, 0) : column + 1] = 1
         if column == 0:
@@ -128,10 +132,8 @@ def test_derivatives_are_finite_and_true():
         lights = DistantLights(direction[None], jnp.ones((1, 3)))
         return relight(NORMALS, materials, lights, coefficients).mean()
 
-    given = (
-        *(jnp.array([0.5, 0.4, 0.3]), jnp.array([0.3, 0.4, 0.8])),
-        *(jnp.float32(0.5), jnp.ones((9, 3)) * 0.1),
-    )
+    color, direction = jnp.array([0.5, 0.4, 0.3]), jnp.array([0.3, 0.4, 0.8])
+    given = (color, direction, jnp.float32(0.5), jnp.ones((9, 3)) * 0.1)
     gradients = jax.grad(total, (0, 1, 2, 3))(*given)
     for index, gradient in enumerate(gradients):
         assert np.isfinite(gradient).all()

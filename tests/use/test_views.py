@@ -63,9 +63,8 @@ def test_a_pause_begins_a_view(folder):
     assert [len(view) for view in views] == [3, 2, 2, 1]
     names = [[file.name for file in view] for view in views]
     assert names[0] == ["L_0.jpg", "L_3.jpg", "L_6.jpg"]
-    assert [len(view) for view in views_by_time(sorted(folder.iterdir()), 100)] == [
-        *(5, 2, 1)
-    ]
+    views = views_by_time(sorted(folder.iterdir()), 100)
+    assert [len(view) for view in views] == [5, 2, 1]
 
 
 def test_views_have_results_of_their_own(folder, tmp_path, network_calls, capsys):

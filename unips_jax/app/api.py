@@ -47,7 +47,6 @@ class Api:
         self._key, self._cookie = key, cookie
 
     def routes(self) -> list[Route]:
-        """For Starlette."""
         one = "/api/objects/{id}"
         return [
             Route("/api/objects", answered(self.list), methods=["GET"]),
@@ -231,7 +230,6 @@ class Api:
         return JSONResponse({})
 
     async def cancel(self, request: Request, item: Object) -> Response:
-        """Ends the estimate."""
         self._desk.cancel(item)
         return JSONResponse({})
 

@@ -23,7 +23,6 @@ class Progress:
     """Of the estimate that runs."""
 
     def __init__(self) -> None:
-        """Nothing is done yet."""
         self.phase, self.share, self._since = "starting", 0.0, time.monotonic()
 
     def report(self, phase: str, share: float) -> None:
@@ -111,7 +110,10 @@ class Desk:
         slow = 10 if path.suffix.lower() not in _QUICK else 1
         try:
             facts = await self._looking.call(
-                *(work.look, path, thumbnail, self.limits.pixels),
+                work.look,
+                path,
+                thumbnail,
+                self.limits.pixels,
                 seconds=slow * self.limits.looking_s,
             )
         except InputError as error:
@@ -139,7 +141,10 @@ class Desk:
             return
         try:
             found = await self._gathering.call(
-                *(work.gather, chosen(item), item.pictures, _reading(item)),
+                work.gather,
+                chosen(item),
+                item.pictures,
+                _reading(item),
                 self.limits.pixels,
                 seconds=self.limits.gathering_s,
             )
@@ -166,7 +171,9 @@ class Desk:
     async def cut(self, item: Object, box: tuple[float, ...]) -> None:
         """Puts what is found in a box of the picture into `pictures/cut.png`."""
         await self._gathering.call(
-            *(work.cut, item.pictures / "picture.jpg", box),
+            work.cut,
+            item.pictures / "picture.jpg",
+            box,
             item.pictures / "cut.png",
             seconds=self.limits.looking_s,
         )
@@ -174,7 +181,10 @@ class Desk:
     async def piece(self, item: Object, point: tuple[float, float]) -> None:
         """Puts the drawn mask, changed at a point, into `pictures/cut.png`."""
         await self._gathering.call(
-            *(work.piece, item.pictures / "picture.jpg", item.drawn, point),
+            work.piece,
+            item.pictures / "picture.jpg",
+            item.drawn,
+            point,
             item.pictures / "cut.png",
             seconds=self.limits.looking_s,
         )
@@ -224,8 +234,13 @@ class Desk:
             item.save()
             mask: Path | str = {"auto": "auto", "whole": "none"}.get(item.mask, "")
             item.findings = await self._estimating.call(
-                *(work.estimate, chosen(item), Path(item.target), mask or item.drawn),
-                *(preview, work.Choices(**item.options), self.weights),
+                work.estimate,
+                chosen(item),
+                Path(item.target),
+                mask or item.drawn,
+                preview,
+                work.Choices(**item.options),
+                self.weights,
                 self.limits.pixels,
                 report=self.progress.report,
             )
@@ -247,7 +262,12 @@ class Desk:
         name = clean(item.name, longest=60) or "object"
         try:
             return await self._gathering.call(
-                *(exports.export, chosen(item), results, item.exports, name, wanted),
+                exports.export,
+                chosen(item),
+                results,
+                item.exports,
+                name,
+                wanted,
                 self.limits.pixels,
                 seconds=self.limits.gathering_s,
             )

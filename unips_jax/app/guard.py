@@ -44,7 +44,6 @@ class Guard:
     def __init__(
         self, app: Callable[..., Awaitable[None]], *, host: str, body_bytes: int
     ) -> None:
-        """Wraps an application that listens at `host`."""
         self._app = app
         self._host = host.lower()
         self._names = {self._host, "localhost"}
@@ -53,7 +52,6 @@ class Guard:
         self._limit = body_bytes
 
     async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
-        """Handles a request."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return

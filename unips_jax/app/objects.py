@@ -102,7 +102,6 @@ class Object:
         self.save()
 
     def save(self) -> None:
-        """Writes all of it."""
         record = dataclasses.asdict(self)
         del record["folder"]
         text = json.dumps(record, ensure_ascii=False)
@@ -139,7 +138,6 @@ class Objects:
         return sorted(there, key=lambda item: -(item.asked or item.created))
 
     def begin(self) -> Object:
-        """A new object without photographs."""
         key = secrets.token_urlsafe(18)
         item = Object(key, self.place / key, created=time.time())
         try:
@@ -160,10 +158,8 @@ class Objects:
             )
         if earlier.drawn.exists():
             shutil.copyfile(earlier.drawn, item.drawn)
-        for name in (
-            *("name", "photographs", "mask", "found"),
-            *("version", "found_version", "problem", "options"),
-        ):
+        kept = "name photographs mask found version found_version problem options"
+        for name in kept.split():
             setattr(item, name, getattr(earlier, name))
         item.photographs = [dataclasses.replace(p) for p in earlier.photographs]
         item.options = {**earlier.options}

@@ -60,7 +60,9 @@ def estimate_extras(
 
         guesses = found.lights if rig is None else rig
         lights = estimate_lights(
-            *(images, found.normals, mask),
+            images,
+            found.normals,
+            mask,
             guesses=guesses,
             near=near,
             transfer=transfer,

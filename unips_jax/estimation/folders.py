@@ -218,7 +218,12 @@ def estimate_selection(
         )
     look = functools.partial(
         estimate_extras,
-        *(network.network, images, mask, found, transfer, options),
+        network.network,
+        images,
+        mask,
+        found,
+        transfer,
+        options,
         rig=rig,
     )
     if verbose and options.confidence:

@@ -55,7 +55,6 @@ class Figures:
     value: np.ndarray
 
     def __len__(self) -> int:
-        """Number of rows."""
         return len(self.value)
 
     def pick(self, **wanted: Any) -> "Figures":

@@ -34,7 +34,6 @@ class Protocol:
     size: int = 256
 
     def __post_init__(self) -> None:
-        """Checks the numbers."""
         if self.name not in ("crop", "native"):
             raise InputError(f"protocol: expected crop or native, got {self.name!r}")
         if self.size < 8:

@@ -165,7 +165,9 @@ def _block(
             axes = canvas.axes(column, top)
             reason = textwrap.fill(f"unsupported: {panel.unsupported}", 27)
             axes.text(
-                *(0.5, 0.5, reason),
+                0.5,
+                0.5,
+                reason,
                 ha="center",
                 va="center",
                 color=_SOFT,

@@ -32,7 +32,6 @@ class Store:
     """The folder `root`; it can be written to."""
 
     def __init__(self, root: str | os.PathLike[str]):
-        """Makes the folder."""
         self.root = Path(root)
         try:
             for name in ("results", ".locks"):

@@ -49,7 +49,6 @@ class Graph:
     """A graph that grows node by node."""
 
     def __init__(self) -> None:
-        """Begins with nothing."""
         self._nodes: list[onnx.NodeProto] = []
         self._constants: dict[tuple[Any, ...], str] = {}
         self._initializers: list[onnx.TensorProto] = []

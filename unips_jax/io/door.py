@@ -26,7 +26,6 @@ class NotWritten(InputError):
     """The file system refused to write: `reason`, in its own words, and its `errno`."""
 
     def __init__(self, path: Path, cause: Exception) -> None:
-        """Names the file, the reason and the fix."""
         self.reason: str = reason_why(cause)
         self.errno: int | None = getattr(cause, "errno", None)
         super().__init__(

@@ -25,7 +25,6 @@ class HashingReader:
     """Reads image files, and knows their hashes from then on: each is opened once."""
 
     def __init__(self, max_pixels: int = MAX_PIXELS) -> None:
-        """Knows no file."""
         self._max_pixels = max_pixels
         self._hashes: dict[Path, str] = {}
 

@@ -265,14 +265,12 @@ class UniPSConfig(ModelConfig):
 
     @property
     def communication_dims(self) -> list[int]:
-        """Channels of each map at which the images of a set communicate."""
         if self.communication == "none":
             return []
         return [self.context_dim] if self.communication == "post" else self.stage_dims
 
     @property
     def reads_at_corners(self) -> bool:
-        """Whether a pixel reads the contexts at its corner, with zeros around them."""
         return self.context_sampling == "corner"
 
 
@@ -309,7 +307,6 @@ class SelfCalibratingConfig(ModelConfig):
     known_lights: bool = False
 
     def __post_init__(self) -> None:
-        """Raises `ValueError` as for every network."""
         super().__post_init__()
         widths = ("ratio_dim", "consensus_dim", "observation_dim")
         require_positive(self, *widths, "consensus_blocks")
@@ -323,19 +320,16 @@ class SelfCalibratingConfig(ModelConfig):
 
     @property
     def num_blocks(self) -> int:
-        """Transformer blocks of which the configuration says how many there are."""
         return super().num_blocks + self.consensus_blocks
 
     @property
     def sees_details(self) -> bool:
-        """Whether the encoder also sees what images twice as large have more."""
         return self.fine_dim > 0
 
     @property
     def context_size(self) -> int:
-        """Side of the contexts' grid, in cells, or in nodes half a cell apart."""
         cells = super().context_size
-        return 2 * cells + 1 if self.sees_details else cells
+        return 2 * cells + 1 if self.sees_details else cells  # nodes, half a cell apart
 
 
 def require_known_lights(config: ModelConfig) -> None:

@@ -48,7 +48,6 @@ class EncoderDecoder(nn.Module):
     config: ModelConfig
 
     def setup(self) -> None:
-        """Makes the halves."""
         ours = isinstance(self.config, SelfCalibratingConfig)
         network: Any = self_calibrating if ours else unips
         self.encoder = network.Encoder(self.config)

@@ -76,7 +76,6 @@ class Encoder(nn.Module):
     config: SelfCalibratingConfig
 
     def setup(self) -> None:
-        """Names the submodules."""
         config = self.config
         dtype = jnp.dtype(config.dtype)
         stages = range(len(config.depths))
@@ -178,7 +177,6 @@ class Decoder(nn.Module):
     config: SelfCalibratingConfig
 
     def setup(self) -> None:
-        """Names the submodules."""
         config = self.config
         self.observation = Observation(config.observation_dim, jnp.dtype(config.dtype))
         self.aggregation = Aggregation(config)

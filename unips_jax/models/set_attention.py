@@ -110,7 +110,6 @@ class SetMLP(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, deterministic: bool) -> Array:
-        """Applies the MLP to `[..., C]`."""
         dropout = nn.Dropout(self.dropout_rate)
         hidden = layer_norm(self.dtype, "norm")(x) if self.use_layer_norm else x
         hidden = dense(self.mlp_dim, self.dtype, "fc1")(hidden)

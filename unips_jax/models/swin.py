@@ -103,7 +103,6 @@ class SwinBlock(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, deterministic: bool) -> Array:
-        """Applies the block to `[B, h, w, C]`."""
         drop_path = nn.Dropout(self.drop_path_rate, broadcast_dims=(1, 2, 3))
         x = x + drop_path(self._attend(x), deterministic)
         hidden = layer_norm(self.dtype, "norm2")(x)

@@ -32,7 +32,6 @@ class Encoder(nn.Module):
     config: UniPSConfig
 
     def setup(self) -> None:
-        """Names the submodules."""
         config = self.config
         dtype = jnp.dtype(config.dtype)
         stages = range(len(config.depths))
@@ -84,7 +83,6 @@ class Decoder(nn.Module):
     config: UniPSConfig
 
     def setup(self) -> None:
-        """Names the submodules."""
         config = self.config
         self.aggregation = Aggregation(config, config.attention, config.aggregation)
         self.prediction = Prediction(config)

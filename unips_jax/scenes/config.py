@@ -100,7 +100,6 @@ class SceneConfig:
     metal_spot_rate: float = 0.0
 
     def __post_init__(self) -> None:
-        """Checks every field, and names the one that is wrong."""
         check_types(self)
         for name, kinds in (
             ("light_weights", LIGHT_KINDS),

@@ -63,7 +63,6 @@ class DataConfig:
     workers: int = 0
 
     def __post_init__(self) -> None:
-        """Checks every field; `ValueError` names it."""
         check_types(self)
         require_positive(self, "image_size", "batch_size", "num_pixels")
         require_not_negative(self, "max_tokens", "workers")
@@ -142,7 +141,6 @@ class OptimConfig:
     ema_decay: float = 0.999
 
     def __post_init__(self) -> None:
-        """Checks every field; `ValueError` names it."""
         check_types(self)
         rates = ("learning_rate", "decay_every", "decay_rate")
         require_positive(self, *rates)
@@ -171,7 +169,6 @@ class MeshConfig:
     microbatches: int = 1
 
     def __post_init__(self) -> None:
-        """Checks every field; `ValueError` names it."""
         check_types(self)
         require(self.data >= 0, f"data: expected 0 or more devices, got {self.data}")
         require_positive(self, "fsdp", "microbatches")
@@ -219,7 +216,6 @@ class TrainConfig:
     validation_images: int = 8
 
     def __post_init__(self) -> None:
-        """Checks every field; `ValueError` names it."""
         check_types(self)
         rhythm = ("log_every", "checkpoint_every", "keep", "validate_every")
         require_positive(self, "steps", *rhythm, "validation_images")
@@ -253,7 +249,6 @@ class Config:
     train: TrainConfig = TrainConfig()
 
     def __post_init__(self) -> None:
-        """Checks what fields of different parts mean together."""
         check_types(self)
         data, train = self.data, self.train
         require(

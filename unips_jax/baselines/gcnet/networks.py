@@ -157,7 +157,6 @@ class NormalNet(nn.Module):
     regressor_widths: tuple[int, ...] = (128, 128, 64)
 
     def setup(self) -> None:
-        """Names the layers."""
         strides = (1, 2, 1, 2, 1, None, 1)
         self.extractor = [
             Deconv(width) if stride is None else Conv(width, stride=stride)
@@ -193,7 +192,6 @@ class GCNet(nn.Module):
     normals: NormalNet = NormalNet(widths=(16, 32, 64, 128, 128, 128, 128))
 
     def setup(self) -> None:
-        """Names the networks."""
         self.light_1 = self.lights.clone(name="light_1", parent=self)
         self.coarse = self.normals.clone(name="coarse", parent=self)
         self.light_2 = self.lights.clone(name="light_2", parent=self)

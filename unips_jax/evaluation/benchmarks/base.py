@@ -119,11 +119,9 @@ class Benchmark(abc.ABC):
         """Reads everything but the photographs."""
 
     def __len__(self) -> int:
-        """Number of entries."""
         return len(self.entries)
 
     def __getitem__(self, index: int) -> Item:
-        """Reads an object."""
         entry = self.entries[index]
         truth = self._checked_truth(entry)
         stack, focal, notes = self.photographs(entry, truth.mask)

@@ -51,7 +51,6 @@ class Diligent(Benchmark):
     folder: ClassVar[str] = "pmsData"
 
     def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
-        """Yields the ten objects, or those wanted."""
         root = _data_folder(self.root, self.folder)
         for name in [o for o in _OBJECTS if not objects or o in objects]:
             folder = files.require_folder(
@@ -73,7 +72,6 @@ class Diligent(Benchmark):
             )
 
     def truth(self, entry: Entry) -> Truth:
-        """Reads mask, true normals and lights."""
         truth = _read_truth(entry, skip=_CORRUPT.get(entry.name, 0))
         published = _MASK_PIXELS[entry.name]
         pixels = int(truth.mask.sum())
@@ -115,7 +113,6 @@ class DiligentMV(Benchmark):
                 )
 
     def truth(self, entry: Entry) -> Truth:
-        """Reads mask, true normals, lights and camera."""
         truth = _read_truth(entry)
         view = int(entry.tags["view"])
         path = entry.files[-1]
@@ -144,7 +141,6 @@ class Diligent102(Benchmark):
     default_protocol = "native"
 
     def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
-        """Yields the hundred objects, or those wanted."""
         root = _data_folder(self.root, "pmsData")
         for shape in _SHAPES:
             for material in _MATERIALS:

@@ -43,7 +43,6 @@ class Luces(Benchmark):
     default_protocol = "native"
 
     def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
-        """Yields the fourteen objects, or those wanted."""
         root = self.root / "data" if (self.root / "data").is_dir() else self.root
         for name in [o for o in _OBJECTS if not objects or o in objects]:
             folder = files.require_folder(root / name, f"LUCES's object {name}")

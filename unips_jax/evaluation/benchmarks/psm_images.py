@@ -33,7 +33,6 @@ class PsmImages(Benchmark):
     default_protocol = "native"
 
     def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
-        """Yields the six objects, or those wanted."""
         root = self.root
         for parent in ("psmImages", "psmImages_png"):
             root = self.root / parent if (self.root / parent).is_dir() else root

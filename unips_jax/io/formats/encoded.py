@@ -24,7 +24,6 @@ class NotRead(Exception):  # noqa: N818
     """A sound file of a kind that is not read; `fix` is what to do."""
 
     def __init__(self, kind: str, fix: str = "export it as PNG or TIFF") -> None:
-        """Names the kind."""
         super().__init__(kind)
         self.fix = fix
 
