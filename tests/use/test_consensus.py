@@ -93,7 +93,8 @@ def test_guesses_weigh_what_the_configuration_says():
         train = TrainConfig(coarse_guess_weight=coarse, lights_guess_weight=lights)
         config = Config(model=CONFIG, data=data, train=train)
         run = jax.jit(functools.partial(batch_loss, config=config))
-        return run(lively_weights(CONFIG), batch, jax.random.key(0))
+        keys = jax.random.split(jax.random.key(0), (2, len(batch["mask"])))
+        return run(lively_weights(CONFIG), batch, *keys)
 
     alone, metrics = loss(0, 0)
     both = float(alone + 0.2 * metrics["coarse"] + 0.1 * metrics["lights"])

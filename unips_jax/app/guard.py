@@ -90,10 +90,8 @@ class Guard:
         return 413 if int(length) > self._limit else None
 
     def _knows(self, name: str) -> bool:
-        """Whether a host's name is ours: another site's could lead to us (rebinding).
-
-        Addresses in digits can't be another site's.
-        """
+        """Whether a host's name is ours: another's could lead to us (rebinding)."""
+        # Addresses in digits can't be another site's.
         if name in self._names or is_loopback(name):
             return True
         return not is_loopback(self._host) and _is_address(name)

@@ -172,10 +172,8 @@ def _segments(
 def _crossings(
     start: np.ndarray, end: np.ndarray
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """A segment, the later ones that cross it `[C]`, and where `[C, 2]`.
-
-    Segment by segment: all pairs at once would need memory for their number.
-    """
+    """A segment, the later ones that cross it `[C]`, and where `[C, 2]`."""
+    # Segment by segment: all pairs at once would need memory for their number.
     steps = end - start
     for first in range(len(start) - 1):
         d, e = steps[first], steps[first + 1 :]

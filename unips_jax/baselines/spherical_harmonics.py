@@ -177,11 +177,9 @@ def _residuals(
 
 
 def _starts(rim: _Rim, mean: np.ndarray) -> list[np.ndarray]:
-    """Transformations that turn three of the rim's rays outwards, exactly.
-
-    Three rays and their images fix a Lorentz transformation up to a reflection in
-    their plane, settled by the mean ray, which faces the viewer.
-    """
+    """Transformations that turn three of the rim's rays outwards, exactly."""
+    # Three rays and their images fix a Lorentz transformation up to a reflection in
+    # their plane, settled by the mean ray, which faces the viewer.
     rng = np.random.default_rng(0)
     starts = []
     for _ in range(20 * _STARTS):

@@ -97,11 +97,9 @@ def integrable_field(
 def _integrable_basis(
     field: np.ndarray, mask: np.ndarray, smoothing: float
 ) -> np.ndarray:
-    """The matrix `[3, 3]` that makes a field `[H, W, 3]` integrable.
-
-    The condition is linear in the field's direction alone, so the field is brought to
-    unit length first: edges of the albedo then leave no trace in the derivatives.
-    """
+    """The matrix `[3, 3]` that makes a field `[H, W, 3]` integrable."""
+    # The condition is linear in the field's direction alone, so the field is brought to
+    # unit length first: edges of the albedo then leave no trace.
     length = np.linalg.norm(field, axis=-1, keepdims=True)
     profile = field / np.where(length > 0, length, 1)
     soft = smooth(profile, mask, smoothing)

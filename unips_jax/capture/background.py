@@ -195,12 +195,10 @@ def _nearby(values: np.ndarray, where: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _contrast(distance: np.ndarray, mask: np.ndarray) -> float:
-    """Of outline and surroundings, in [0, 1].
-
-    The outline's: how much more there is inside than outside, over their sum; of its
-    quarter that has least. The surroundings': how much less the brightest of them have
-    than the object.
-    """
+    """Of outline and surroundings, in [0, 1]."""
+    # The outline's: how much more there is inside than outside, over their sum; of its
+    # quarter that has least. The surroundings': how much less the brightest of them
+    # have than the object.
     within = mask.astype(np.uint8)
     eroded, dilated = cv2.erode(within, disc(1)), cv2.dilate(within, disc(1))
     inner = (eroded - cv2.erode(within, disc(3))).astype(np.float32)

@@ -109,10 +109,8 @@ def look_at_light(
 
 
 def _far_side(rough: RoughLights, towards: np.ndarray) -> float:
-    """How bright the side away from the light is, as a share of the near one's.
-
-    Skies are brighter above, but light all of an object.
-    """
+    """How bright the side away from the light is, as a share of the near one's."""
+    # Skies are brighter above, but light all of an object.
     turned = rough.normals[:, :2] @ towards
     far, near = turned < -0.4, turned > 0.4
     if not (far.any() and near.any()):

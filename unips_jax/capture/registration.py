@@ -59,11 +59,9 @@ def register(
 
 
 def _refined(rest: np.ndarray, field: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """The map from places of the others' field to those of a field, near `start`.
-
-    Each of overlapping tiles gives a shift; the similarity (shift, turn, scale) is
-    taken that most of them agree upon, or their shift alone where they give no more.
-    """
+    """The map from places of the others' field to those of a field, near `start`."""
+    # Each of overlapping tiles gives a shift; the similarity (shift, turn, scale) is
+    # taken that most of them agree upon, or their shift alone.
     height, width = rest.shape
     back = field_back(field, start)
     size = height // 2, width // 2

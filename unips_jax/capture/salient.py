@@ -169,12 +169,10 @@ def _full_size(
 
 
 def _holes(brightest: np.ndarray, salient: np.ndarray) -> np.ndarray:
-    """Large parts inside that look like the background nearby.
-
-    The brightest of all photographs has no shadows of a moving lamp. Where much of the
-    object looks like the background too, such as a dark robe on black, only parts that
-    are not quite salient count.
-    """
+    """Large parts inside that look like the background nearby."""
+    # The brightest of all photographs has no shadows of a moving lamp. Where much of
+    # the object looks like the background too, such as a dark robe on black, only parts
+    # that are not quite salient count.
     inside, around = salient > 0.5, salient < 0.05
     if not inside.any() or not around.any():
         return np.zeros(salient.shape, bool)

@@ -60,12 +60,7 @@ def estimate_extras(
 
         guesses = found.lights if rig is None else rig
         lights = estimate_lights(
-            images,
-            found.normals,
-            mask,
-            guesses=guesses,
-            near=near,
-            transfer=transfer,
+            images, found.normals, mask, guesses=guesses, near=near, transfer=transfer
         )
     if options.confidence:
         from unips_jax.estimation.confidence import normal_spread

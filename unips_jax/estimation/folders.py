@@ -28,12 +28,7 @@ from unips_jax.io.record import (
     print_selection,
     same_inputs,
 )
-from unips_jax.io.results import (
-    check_target,
-    clear_leftovers,
-    file_hash,
-    read_record,
-)
+from unips_jax.io.results import check_target, clear_leftovers, file_hash, read_record
 from unips_jax.io.selection import Selection
 from unips_jax.models.config import ModelConfig
 from unips_jax.provenance import code_hash

@@ -188,10 +188,8 @@ def _decode_fast(
     mask: np.ndarray,
     progress: Progress | None,
 ) -> np.ndarray:
-    """The mean over both views, of which the second is decoded at few pixels.
-
-    What it changes is smooth: it is spread from one pixel in 16 to those around.
-    """
+    """The mean over both views, of which the second is decoded at few pixels."""
+    # What it changes is smooth: it is spread from one pixel in 16 to those around.
     from scipy import ndimage
 
     step = min(4, int(encoding.frame.side[0]) // 96)
@@ -225,10 +223,8 @@ def _view(encoding: Encoding, index: int) -> Encoding:
 def _side_by_side(
     function: Callable[[_T], _R], items: Iterable[_T]
 ) -> Iterator[tuple[_T, _R]]:
-    """Items and results, in order, with a thread for every core.
-
-    One call alone does not keep two cores busy: its products are small.
-    """
+    """Items and results, in order, with a thread for every core."""
+    # One call alone does not keep two cores busy: its products are small.
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
     with ThreadPoolExecutor(min(cores, 8)) as pool:
         running: deque[tuple[_T, Future[_R]]] = deque()

@@ -88,9 +88,7 @@ class NormalFiles:
 
     def read(self, path: Path, masks: list[np.ndarray]) -> np.ndarray:
         """Unit normals `[H, W, 3]` of a file, in our convention, of the masks' size."""
-        normals = read_any(path)[..., list(self.order)] * np.array(
-            self.signs, np.float32
-        )
+        normals = self._in_our_convention(path)
         fitting = [mask for mask in masks if mask.shape == normals.shape[:2]]
         if not fitting:
             sizes = dict.fromkeys(f"{m.shape[1]} x {m.shape[0]}" for m in masks)
@@ -113,9 +111,7 @@ class NormalFiles:
             path = self.find(name, subset)
             if path is None:
                 raise Unsupported(f"files: no normals in {self.folder.name}")
-            normals = read_any(path)[..., list(self.order)] * np.array(
-                self.signs, np.float32
-            )
+            normals = self._in_our_convention(path)
             shown = normals.shape[:2] == observed.mask.shape
             return normals if shown else crop(normals)
 

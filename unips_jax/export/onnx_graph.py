@@ -271,10 +271,9 @@ class _Dim:
 
 
 def _is_constant(equation: Any, inputs: list[Value]) -> bool:
-    """Whether an equation is computed here: places and shapes, known and not large.
-
-    What else follows from parameters alone, onnxruntime computes when it loads a file.
-    """
+    """Whether an equation is computed here: places and shapes, known and not large."""
+    # What else follows from parameters alone, onnxruntime computes when it loads a
+    # file.
     if equation.primitive.name == "dim_as_value":
         return False
     avals = [variable.aval for variable in equation.outvars]

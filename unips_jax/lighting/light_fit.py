@@ -241,10 +241,7 @@ def _fitted_directions(grey: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _fitted_light(
-    pixels: np.ndarray,
-    normal: np.ndarray,
-    cosine: np.ndarray,
-    directness: np.ndarray,
+    pixels: np.ndarray, normal: np.ndarray, cosine: np.ndarray, directness: np.ndarray
 ) -> np.ndarray:
     """The irradiance's key colour and surroundings' coefficients, `[N, 10, 3]`."""
     smooth = harmonics(normal)  # [P, 9]

@@ -101,10 +101,9 @@ class ModelConfig:
         require_at_most(self, 32, "window_size")
         require_at_most(self, 100, "aggregation_layers", *ratios)
         require_at_most(self, 2**14, "embed_dim", "context_dim", *widths)
-        for name, most in (
-            *(("patch_channels", 2**14), ("depths", 100)),
-            *(("num_heads", 2**14), ("pool_scales", 64)),
-        ):
+        lists = {"patch_channels": 2**14, "num_heads": 2**14}
+        lists |= {"depths": 100, "pool_scales": 64}
+        for name, most in lists.items():
             values = getattr(self, name)
             require(
                 1 <= len(values) <= 8 and min(values) >= 1 and max(values) <= most,

@@ -11,11 +11,7 @@ _T = TypeVar("_T")
 
 # Fields that came later, at the value that changes nothing: left out of JSON, so that
 # the hash of weights that have no use for them stays what it was.
-_LATER: dict[str, Any] = {
-    "fine_dim": 0,
-    "light_tokens": False,
-    "known_lights": False,
-}
+_LATER: dict[str, Any] = {"fine_dim": 0, "light_tokens": False, "known_lights": False}
 
 
 def to_json(config: Any) -> str:

@@ -39,10 +39,7 @@ class Consensus(nn.Module):
 
     @nn.compact
     def __call__(
-        self,
-        contexts: Array,
-        valid: Array | None = None,
-        lights: Array | None = None,
+        self, contexts: Array, valid: Array | None = None, lights: Array | None = None
     ) -> tuple[Array, Guesses]:
         """Contexts `[B, N, h, w, C]`, changed; `valid [N]`, `lights [B, N, 3]`."""
         batch, images, height, width, channels = contexts.shape

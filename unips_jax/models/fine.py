@@ -55,12 +55,7 @@ class Fine(nn.Module):
         change = Dense(width, dtype=self.dtype, kernel_init=zeros, name="change")
         return contexts + change(x)
 
-    def _conv(
-        self,
-        features: int,
-        shape: tuple[int, int, int],
-        name: str,
-    ) -> nn.Conv:
+    def _conv(self, features: int, shape: tuple[int, int, int], name: str) -> nn.Conv:
         """A convolution; `shape` is its side, stride and padding."""
         side, stride, padding = shape
         return nn.Conv(

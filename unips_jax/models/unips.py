@@ -51,11 +51,7 @@ class Encoder(nn.Module):
         by_image: Pieces = whole,
         by_place: Pieces = whole,
     ) -> Encoded:
-        """Contexts of images `[..., N, s, s, 4]`, normalised RGB and mask.
-
-        `by_image`, `by_place`: how to run what treats every image, and every place of
-        the maps, alone.
-        """
+        """Contexts of `[..., N, s, s, 4]`, normalised RGB and mask; see `encode`."""
         *sets, height, width, channels = images.shape
         when = self.config.communication
 

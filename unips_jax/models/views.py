@@ -290,11 +290,8 @@ def _resized(
     weights: tuple[Any, ...],
     linear: Callable[[np.ndarray], np.ndarray],
 ) -> tuple[np.ndarray, float]:
-    """A photograph's masked light in the frame's cells, and its sum over all pixels.
-
-    Of weights `[s, H]` and `[s, W]`: `[s, s, 4]`, of which the last channel is how far
-    the mask covers a cell.
-    """
+    """A photograph's masked light in cells `[s, s, 4]`, and its sum over pixels."""
+    # The last channel is how far the mask covers a cell.
     rows, columns = weights
     inner = slice(max(0, int(frame.left)), int(frame.left) + int(frame.side))
     columns = columns[:, inner]

@@ -118,14 +118,10 @@ def _material(
 def _attached_centers(
     draws: Draws, primitives: Primitives, size: Array, used: Array, lathe: Array
 ) -> Array:
-    """Each slot overlaps one before it, so that all are connected.
-
-    Cuts sit near the surface, further out the larger they are: they hollow, but mostly
-    leave the rest in one piece.
-
-    Turned objects (`lathe`), of which only the half plane x > 0, z = 0 counts, stack
-    their slots along y there. All arguments are of K slots; `[K, 3]`.
-    """
+    """Each of K slots, `[K, 3]`, overlaps one before it, so that all are connected."""
+    # Cuts sit near the surface, further out the larger they are: they hollow, but
+    # mostly leave the rest in one piece. Turned objects (`lathe`), of which only the
+    # half plane x > 0, z = 0 counts, stack their slots along y there.
     upwards = jnp.where(draws.chance(0.5, NUM_SLOTS), 1.0, -1.0)
     lean = draws.uniform(0.0, 0.5, NUM_SLOTS)
     stacked = jnp.stack(

@@ -157,11 +157,9 @@ def _v_cycle(
 def _smooth(
     springs: Springs, inverse: jax.Array, b: jax.Array, x: jax.Array, sweeps: int
 ) -> jax.Array:
-    """Chebyshev iteration on D^-1 A.
-
-    A loop, although it is short: unrolled, the compiler fuses the shifts of one sweep
-    into the next and takes minutes.
-    """
+    """Chebyshev iteration on D^-1 A."""
+    # A loop, although it is short: unrolled, the compiler fuses the shifts of one sweep
+    # into the next and takes minutes.
     centre, radius = (_HIGH + _LOW) / 2, (_HIGH - _LOW) / 2
     ratio = centre / radius
 

@@ -78,14 +78,12 @@ def is_kernel(params: Any) -> Any:
 
 
 def _shorten_wide(updates: Any, _: Any) -> Any:
-    """Shortens Muon's steps on convolutions with many inputs.
-
-    A step moves an output by as much as its many inputs agree. Those of a 3 x 3
-    convolution over hundreds of channels mostly do: their common part alone pushes
-    every ReLU of the pyramid pooling below zero for good, and what lies before it has
-    no gradient any more (`docs/history/tiny.md`). Only by the root: in proportion, the
-    pooling's output stays a sixth of what it is added to.
-    """
+    """Shortens Muon's steps on convolutions with many inputs."""
+    # A step moves an output by as much as its many inputs agree. Those of a 3 x 3
+    # convolution over hundreds of channels mostly do: their common part alone pushes
+    # every ReLU of the pyramid pooling below zero for good, and what lies before it has
+    # no gradient any more (`docs/history/tiny.md`). Only by the root: in proportion,
+    # the pooling's output stays a sixth of what it is added to.
 
     def shorten(update: jax.Array) -> jax.Array:
         if update.ndim != 4:

@@ -66,17 +66,9 @@ def augment(scene: Objects, key: Array) -> Objects:
 
 
 def batch_loss(
-    params: Any, batch: Batch, key: Array, *, config: Config
-) -> tuple[Array, dict[str, Array]]:
-    """Mean loss over a batch of objects, and the mean of their metrics."""
-    keys = jax.random.split(key, (2, len(batch["mask"])))
-    return _loss(params, batch, keys[0], keys[1], config=config)
-
-
-def _loss(
     params: Any, batch: Batch, *keys: Array, config: Config
 ) -> tuple[Array, dict[str, Array]]:
-    """`batch_loss`, with two keys for each object."""
+    """Mean loss over a batch of B objects, and their mean metrics; keys `[2, B]`."""
     data, train = config.data, config.train
     objects = Objects(**batch)
     num_images = objects.images.shape[1]
@@ -103,12 +95,13 @@ def _loss(
 
 
 def batch_gradient(params: Any, batch: Batch, key: Array, *, config: Config) -> Any:
-    """Value and gradient of `batch_loss`, of the same arguments.
+    """Value and gradient of `batch_loss`.
 
     With microbatches, the means over parts of the batch, of which one at a time is in
     memory. What is drawn for an object is the same, but for dropout.
     """
-    gradient = jax.value_and_grad(functools.partial(_loss, config=config), has_aux=True)
+    loss = functools.partial(batch_loss, config=config)
+    gradient = jax.value_and_grad(loss, has_aux=True)
     objects = batch, *jax.random.split(key, (2, len(batch["mask"])))
     count = config.mesh.microbatches
     if count == 1:

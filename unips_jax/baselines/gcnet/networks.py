@@ -66,11 +66,10 @@ class Conv(nn.Module):
 
 
 class _Twice(nn.Module):
-    """Transposed convolution, kernel 4, stride 2, as four convolutions with kernel 2.
+    """Transposed convolution, kernel 4, stride 2: four convolutions with kernel 2."""
 
-    Each gives every second pixel. The sums are the same; the gradient with respect to
-    the kernel is twenty times faster on a CPU.
-    """
+    # Each gives every second pixel. The sums are the same; the gradient with respect to
+    # the kernel is twenty times faster on a CPU.
 
     features: int
 

@@ -81,12 +81,9 @@ def cube_symmetries() -> np.ndarray:
 
 @jax.jit
 def _refine(starts: Array, rows: Array, field: Array) -> tuple[Array, Array]:
-    """Damped Gauss-Newton on the rotations, from every start `[S, 3, 3]`.
-
-    Minimises the mean pseudo-Huber misfit of integrability plus the mean squared
-    shortfall of n_z below `_LEAST_Z`. Returns frames, axes as rows, and their costs
-    `[S]`.
-    """
+    """Damped Gauss-Newton from every start `[S, 3, 3]`: frames (rows), costs `[S]`."""
+    # Minimises the mean pseudo-Huber misfit of integrability plus the mean squared
+    # shortfall of n_z below `_LEAST_Z`.
 
     def cost(frame: Array) -> Array:
         misfit = rows @ frame[:2].reshape(6)

@@ -50,10 +50,8 @@ def merge_sync(patches: Sequence[Patch], count: int) -> np.ndarray:
 def _link_weights(
     patches: Sequence[Patch], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Trust `[K, K]` and frame change `[K, K, 3, 3]` of every pair of patches.
-
-    Row vectors: patch i's normals times the change (i, j) are patch j's.
-    """
+    """Trust `[K, K]` and frame change `[K, K, 3, 3]` of every pair of patches."""
+    # Row vectors: patch i's normals times the change (i, j) are patch j's.
     size = len(patches)
     stack = _stacked(patches, count)
     moments = (
