@@ -20,7 +20,7 @@ Compare before and after on objects that were not trained on:
     unips eval --benchmark ps-wild --root held-out --workdir out \
         --weights tiny runs/mine/last.safetensors
 
-Hardware: two CPU cores. Time: 50 minutes beside other work.
+Hardware: two CPU cores. Time: 50 minutes next to other work.
 Score: little is gained. 64 held-out scenes of metal: 14.3 degrees before, 14.1 after (a
 constant normal 40.7); 24 sets of reliefs and plates of all materials: 8.3 before, 8.6
 after. The second command, on 120 sets of reliefs and plates (`unips render`), has 8.9

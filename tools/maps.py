@@ -1,4 +1,4 @@
-"""Measures what is estimated besides normals: lights, colour, depth, confidence.
+"""Measures what is estimated next to normals: lights, colour, depth, confidence.
 
     python tools/maps.py --scenes 10 --diligent FOLDER --ps-wild FOLDER
     python tools/maps.py --scenes 5 --diligent FOLDER --ps-wild FOLDER --confidence

@@ -58,11 +58,11 @@ def cut_waves(size: int, amplitude: float) -> tuple[np.ndarray, np.ndarray]:
 def compare_solvers(size: int) -> dict[str, float]:
     """Seconds and steps of both solvers on the plain least squares of a hemisphere."""
     normals, mask, _, _ = hemisphere(size)
-    said = statements(jnp.asarray(normals), jnp.asarray(mask), None, None)
-    stiffness, asked = system(said, jnp.zeros_like(said.m), 0.0)
+    stated = statements(jnp.asarray(normals), jnp.asarray(mask), None, None)
+    stiffness, asked = system(stated, jnp.zeros_like(stated.m), 0.0)
     force = balance(Edges(*(s * a for s, a in zip(stiffness, asked, strict=True))))
     faint = Edges(*(jnp.where(s > 0, s + _FAINT, 0) for s in stiffness))
-    springs = Springs(faint, jnp.zeros_like(said.m))
+    springs = Springs(faint, jnp.zeros_like(stated.m))
     solve = jax.jit(
         functools.partial(conjugate_gradients, tolerance=_TOLERANCE, max_steps=100)
     )

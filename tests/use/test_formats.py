@@ -18,7 +18,7 @@ from unips_jax.io.images import check_image, decode_image, read_image, read_imag
 from unips_jax.io.normals import read_normals
 
 SIZE = (23, 37)
-# Samples of a pixel: how many colours, and the kinds of those besides.
+# Samples of a pixel: how many colours, and what other kinds there are.
 SAMPLES = {
     "grey": (1, ()),
     "grey, alpha": (1, (2,)),

@@ -17,7 +17,7 @@ const $ = (id) => document.getElementById(id);
 const state = { photographs: [], files: [], brightest: null, mask: null, result: null };
 let worker;
 
-// What the status says: a function, so that it is said again in another language.
+// What the status shows: a function, so that it can change its language.
 let status = () => "";
 const say = (text, bad = false) => {
   status = text;
@@ -31,7 +31,7 @@ const editor = new Editor($("photograph"), (...box) => findObject(box), () => {
   keep("mask", state.mask);
 });
 
-// Reads files; what is wrong with them is said, and what was there before stays.
+// Reads files; what is wrong with them is reported, and what was there before stays.
 async function take(list, mask = null) {
   const files = [...list].filter((file) => file.size && !file.name.startsWith("."))
     .filter((file) => /^image\//.test(file.type) || /\.hei[cf]$/i.test(file.name))
@@ -95,7 +95,7 @@ const transferOf = () => {
   return chosen === "auto" ? state.photographs[0].tag : chosen;
 };
 
-// One answer of the worker, by the name of its field; progress is said meanwhile.
+// One answer of the worker, by the name of its field; progress is reported meanwhile.
 function ask(message, field, onOther = () => {}) {
   worker ??= new Worker("./worker.js", { type: "module" });
   return new Promise((resolve, reject) => {

@@ -178,7 +178,7 @@ export function leaveOut(mask, files, brightest) {
     for (let i = 0; i < mask.length; i++) if (!brightest[i]) mask[i] = 0;
     return mask;
   }
-  // In 8 bits what is nearly black beside black is left out too.
+  // In 8 bits what is nearly black next to black is left out too.
   const seen = new Uint8Array(mask.length);
   const open = [];
   for (let i = 0; i < mask.length; i++) {

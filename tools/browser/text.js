@@ -50,7 +50,7 @@ export function offer(select, changed) {
   apply();
 }
 
-// What can't be done: a key of the table and its values, so that it can be said again.
+// What can't be done: a key of the table and its values, so that its language can change.
 export class Refusal extends Error {
   constructor(key, values = {}) {
     super(t(`refused_${key}`, values));

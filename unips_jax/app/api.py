@@ -234,7 +234,7 @@ class Api:
         return JSONResponse({})
 
     async def again(self, request: Request, item: Object) -> Response:
-        """To be changed and estimated again: itself, or a new one beside a result."""
+        """To be changed and estimated again: itself, or a new one next to results."""
         if item.state not in OVER:
             raise Refused(409, "failed")
         if item.state == "done":

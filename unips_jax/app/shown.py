@@ -1,4 +1,4 @@
-"""What the page is told of an object, as JSON."""
+"""What the page knows of an object, as JSON."""
 
 from pathlib import Path
 from typing import Any

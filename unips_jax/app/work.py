@@ -88,7 +88,7 @@ def look(
 
 
 def _unpack(container: Path, max_pixels: int) -> list[str]:
-    """Puts a file's frames beside it; gives their names, none for a plain TIFF."""
+    """Puts a file's frames next to it; gives their names, none for a plain TIFF."""
     from unips_jax.capture.unpack import unpacked
     from unips_jax.io.naming import VIDEO_SUFFIXES
 

@@ -18,7 +18,7 @@ from unips_jax.io.photographs import Capture
 _UNTAGGED = "8-bit values"  # the rule of `io.color` where there is no tag
 _FOCUS_SIDE = 1024
 _BLURRED = 0.6  # of the median of fine detail over coarse
-_BLURRED_PARTS = 0.85  # likewise, in three quarters of the picture's parts
+_BLURRED_PARTS = 0.85  # the same, in three quarters of the picture's parts
 _FEWEST_PARTS = 6
 _PART = 8  # least side
 _WHOLE = 0.95  # of the image: less was cut out of black

@@ -4,7 +4,7 @@ RESULTS are folders that `unips estimate` wrote, one for each place of the camer
 the camera was is in SfMData (.sfm, .json) of AliceVision or Meshroom, whose views of a
 pose are its photographs. OUT receives normal/000.png (16 bits), mask/000.png,
 albedo/000.png if all results have a base colour, and cameras.npz as IDR describes it,
-for RNb-NeuS2 and its kin; normals.sfm, masks.sfm and albedos.sfm for Meshroom.
+for RNb-NeuS2 and the like; normals.sfm, masks.sfm and albedos.sfm for Meshroom.
 """
 
 import dataclasses

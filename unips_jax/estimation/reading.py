@@ -45,7 +45,7 @@ def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
         dark = dark_file(folder, options.dark)
         kept = tuple(f for f in selection.files if f.resolve() != dark.resolve())
         if not kept:
-            raise InputError(f"{folder}: expected photographs besides {dark}, got none")
+            raise InputError(f"{folder}: expected photographs, got none but {dark}")
         left_out["by --dark"] = [dark.name]
         selection = dataclasses.replace(selection, files=kept, left_out=left_out)
     if options.mask == "none" and selection.mask_file is not None:

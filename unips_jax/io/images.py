@@ -202,10 +202,10 @@ def _unreadable(path: Path, error: Exception) -> InputError:
             f"{path}: expected an image that can be read, got {error}; {error.fix}, or "
             "remove it"
         )
-    said = f" ({error})" if str(error) else ""
+    reason = f" ({error})" if str(error) else ""
     return InputError(
         f"{path}: expected a readable image, got a damaged, truncated or unknown "
-        f"file{said}; copy or export it again, or remove it"
+        f"file{reason}; copy or export it again, or remove it"
     )
 
 

@@ -1,7 +1,7 @@
 """A picture to judge an estimate by: the inputs, the normals, and a turning light.
 
 Left: photographs. Middle: the normals in OpenGL colours. Right: the shape under eight
-lights, each tile lying on the side its light comes from; in their midst a sphere, the
+lights, each tile lying on the side its light comes from; in the middle a sphere, the
 key to the normals' colours. Where the true normals are known, a map of the errors.
 """
 

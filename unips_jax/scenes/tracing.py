@@ -133,7 +133,7 @@ def first_crossings(
 def gradient(function, point: Point) -> Point:
     """Derivative of a field, forward and in a loop.
 
-    The fields are loops, dear to reverse, and written out the compiler repeats the
+    The fields are loops, costly to reverse, and written out the compiler repeats the
     field for every consumer.
     """
 

@@ -40,15 +40,15 @@ class _Complaints(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
-        self.said = threading.local()
+        self.reported = threading.local()
 
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage()
         if record.levelno >= logging.ERROR or "TiffPages" in text:
-            self.said.lines = [*self.lines(), text]
+            self.reported.lines = [*self.lines(), text]
 
     def lines(self) -> list[str]:
-        return getattr(self.said, "lines", [])
+        return getattr(self.reported, "lines", [])
 
 
 @functools.cache
@@ -86,7 +86,7 @@ def count_pages(file: BinaryIO, most: int) -> int:
 def open_tiff(data: bytes) -> Encoded:
     """Reads a TIFF's tags; damaged ones raise `Damaged`, or any kind of exception."""
     complaints = _complaints()
-    complaints.said.lines = []
+    complaints.reported.lines = []
     tiff = tifffile.TiffFile(io.BytesIO(data))
     page = _photograph(tiff)
     for line in complaints.lines():
