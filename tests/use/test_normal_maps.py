@@ -127,6 +127,33 @@ def test_backgrounds_of_any_colour_are_no_surface(background, dtype):
     assert "no surface there; --mask FILE" in found.mended[0] and not found.doubts
 
 
+@pytest.mark.parametrize("background", [None, (0, 0, 0), (1, 1, 1), (1, 0, 0)])
+@pytest.mark.parametrize("quality", [75, 92, 95])
+def test_jpeg_moves_no_outline_and_leaves_no_cliffs(background, quality):
+    for bumps in (0, 1):
+        normals, mask, _ = dome(bumps=bumps)
+        found = examine_normals(jpeg(encoded(normals, background), quality))
+        there = found.normals.any(-1)
+        assert (there ^ mask).sum() < 0.05 * mask.sum()
+        steep = there & (found.normals[..., 2] < 0.2)  # the dome's least is 0.35
+        assert steep.sum() <= 0.001 * mask.sum()
+        assert bool(found.mended) == (background is not None) and not found.doubts
+
+
+@pytest.mark.parametrize(
+    "name", ["grey95.jpg", "black95.jpg", "black.png", "white.png"]
+)
+def test_depth_is_that_of_the_object_on_any_background(name, shared_dir, tmp_path):
+    folder = shared_dir / "cases" / "normal_map_other_backgrounds"
+    if not folder.is_dir():
+        pytest.skip(f"no normal maps in {shared_dir}")
+    truth = np.load(folder / "truth.npz")
+    assert surface([str(folder / name), "-o", str(tmp_path / "out")]) == 0
+    record = json.loads((tmp_path / "out" / "surface.json").read_text())
+    expected = np.ptp(truth["z"][truth["inside"]])
+    assert abs((record["far"] - record["near"]) / expected - 1) < 0.05
+
+
 def test_a_flat_blue_background_is_doubted():
     normals, _, _ = dome()
     found = examine_normals(encoded(normals, (0.5, 0.5, 1)))

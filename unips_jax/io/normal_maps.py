@@ -26,6 +26,7 @@ from unips_jax.io.results import RECORD
 
 _OFF = 0.25  # of a length: JPEG and resizing leave less in most pixels
 _AWAY = -0.35  # z: wide lenses see what faces away by as much
+_STEEP = 0.2  # z
 _CUT = 35.0  # degrees between a flat background and what lies on it
 
 
@@ -182,7 +183,10 @@ def _surface(
     some = length > 1e-3
     seen = foreground(normals, some)
     off = np.abs(length - 1)
-    background = some & ~seen & (off > UNIT)
+    border = some & ~seen
+    # Where the border's colour is a normal, as of a plane, it is surface.
+    plane = border.any() and np.median(off[border]) < 2 * UNIT
+    background = border & (off > UNIT) & (not plane)
     unit = off < 2 * UNIT
     share = float(np.count_nonzero(unit & seen)) / max(int(np.count_nonzero(seen)), 1)
     if share < 0.6:
@@ -199,7 +203,11 @@ def _surface(
         away = normals[..., 2] > -_AWAY
     far = background | (some & ((length > 1 + _OFF) | away))
     far = _together(far, some & (length < 1 - _OFF), ~some)
-    if (far & (length > 0.3)).mean() > 0.02:  # a grey background needs no word
+    # A grey background needs no word, nor what JPEG left around the object there.
+    known = far & (length > 0.3)
+    if border.any() and np.median(length[border]) < 0.3:
+        known = scipy.ndimage.binary_erosion(known, iterations=3)
+    if known.mean() > 0.02:
         mended.append(
             f"{_count(far)} hold no normal (not of unit length, or facing away): no "
             f"surface there; --mask FILE says where it is, {OVERRULE} takes all"
@@ -209,7 +217,22 @@ def _surface(
             f"{_count(away & unit & seen)} hold normals that face away, as in maps in "
             "an object's own frame: give one in the camera's"
         )
-    return some & ~far & (length > 0.3)
+    there = some & ~far & (length > 0.3)
+    return there & ~_blended(normals, length, there) if encoded else there
+
+
+def _blended(normals: np.ndarray, length: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Steep pixels of an edge that JPEG mixed with the background: `[H, W]`.
+
+    Their depths would outweigh all others'. None where nothing was lost.
+    """
+    off = np.abs(length - 1)
+    inner = scipy.ndimage.binary_erosion(there, iterations=4)
+    if not inner.any() or (off[inner] > 0.02).mean() < 0.02:
+        return np.zeros_like(there)
+    rim = there & scipy.ndimage.binary_dilation(~there, iterations=2)
+    toward = np.sign(np.median(normals[..., 2][inner])) * normals[..., 2]
+    return rim & (off > 2 * UNIT) & (toward < _STEEP * length)
 
 
 def _together(far: np.ndarray, short: np.ndarray, outside: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ LEAST = 200
 """Pixels that a decision needs."""
 
 _EXACT = 0.015  # the same of floats
+_NOISE = 0.15  # of a colour, by JPEG
 _SAMPLE = 200_000  # pixels that are looked at
 _CURVES = (
     (
@@ -65,13 +66,17 @@ def decode_values(
 def foreground(values: np.ndarray, there: np.ndarray) -> np.ndarray:
     """The pixels but for those of the one colour that most of the border has.
 
-    `there` itself where little else would be left. Values are of the order of 1.
+    `there` itself where little else would be left. Values are of the order of 1. The
+    colour is as wide as JPEG made it on the border.
     """
     ring = np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
     colors, counts = np.unique(np.round(ring, 2), axis=0, return_counts=True)
-    if counts.max() < 0.4 * len(ring):
+    color = colors[counts.argmax()]
+    away = np.abs(ring - color).max(-1)
+    like = away[away < _NOISE]
+    if len(like) < 0.4 * len(ring):
         return there
-    other = np.abs(values - colors[counts.argmax()]).max(-1) > 0.02
+    other = np.abs(values - color).max(-1) > max(0.02, float(np.quantile(like, 0.95)))
     return there & other if np.count_nonzero(there & other) >= LEAST else there
 
 
