@@ -1,6 +1,7 @@
 """Speed and memory, as shares of this run's own matrix products.
 
     python tools/benchmark.py [--config FILE] [--images 10] [--size 512]
+    python tools/benchmark.py --torch [--images 10] [--size 512]
     python tools/benchmark.py --train --config configs/unips.py --objects 1 --images 6
 
 Prints one JSON line: versions, device, medians. Appended to `docs/results/speed.jsonl`
@@ -35,6 +36,7 @@ from unips_jax.console import cache_compilations, command
 from unips_jax.errors import InputError
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.models.config import ModelConfig, SelfCalibratingConfig, UniPSConfig
+from unips_jax.models.network import UniversalNetwork
 from unips_jax.train import load_config
 from unips_jax.training.compilation import compile_together
 from unips_jax.training.config import Config, DataConfig
@@ -156,32 +158,64 @@ def forget_peak_memory() -> None:
         clear.write_text("5")
 
 
+def torch_estimate(
+    network: UniversalNetwork, stack: np.ndarray, mask: np.ndarray
+) -> Callable[[], np.ndarray]:
+    """The same normals by PyTorch (`torch_network`): `[P, 3]` of the mask's pixels."""
+    try:
+        import torch
+        import torch_network
+    except ImportError:
+        raise InputError("--torch: torch is not installed: pip install torch") from None
+    weights = torch_network.torch_weights(network)
+    means = stack[:, mask].mean((1, 2), keepdims=True)[..., None]
+    images = torch.from_numpy(stack / means * mask[..., None])
+    inside, size = torch.from_numpy(mask), network.config.canonical_size
+    return lambda: torch_network.estimate(weights, images, inside, size).numpy()
+
+
 def estimation_benchmark(
-    config: ModelConfig, images: int, size: int, repeats: int
+    config: ModelConfig, images: int, size: int, repeats: int, with_torch: bool = False
 ) -> dict:
-    """Encoder alone, end to end, and what the first call adds to compile or to load."""
+    """Encoder alone, end to end, and what the first call adds to compile or to load.
+
+    `with_torch`: also by PyTorch, in turn.
+    """
     network = jax.block_until_ready(random_weights(config))
     forget_peak_memory()
-    stack, mask = map(jnp.asarray, disc(images, size))
+    observed = disc(images, size)
+    other = torch_estimate(network, *observed) if with_torch else None
+    stack, mask = map(jnp.asarray, observed)
     views = 1 + config.mirror
     decoder = views * decoder_operations(config) * images * int(mask.sum())
     encoder = views * encoder_operations(config, images)
-    run = functools.partial(estimate_normals, network, stack, mask)
+    of_network = functools.partial(estimate_normals, network, stack, frame="image")
+    run = functools.partial(of_network, mask)
     nothing = jnp.zeros_like(mask)  # no pixel to decode: the same program's encoder
-    empty = functools.partial(estimate_normals, network, stack, nothing)
+    empty = functools.partial(of_network, nothing)
     first = median_seconds(empty, 1)
     before = matrix_rate(config)
     encoder_seconds = median_seconds(empty, repeats)
-    rates, times = [matrix_rate(config)], []
+    rates, times, other_times = [matrix_rate(config)], [], []
     for _ in range(repeats):
         times.append(median_seconds(run, 1))
+        if other:
+            other_times.append(median_seconds(other, 1))
         rates.append(matrix_rate(config))
+    beside = {}
+    if other:
+        apart = float(np.abs(other() - np.asarray(run())[observed[1]]).max())
+        beside = {
+            "torch": shares(statistics.median(other_times), encoder + decoder, rates),
+            "torch_difference": apart,  # of the normals' components, at most
+        }
     return {
         "first_call_overhead_seconds": round(first - encoder_seconds, 1),
         "encoder_gflop": round(encoder / 1e9, 1),
         "decoder_gflop": round(decoder / 1e9, 1),
         "end_to_end": shares(statistics.median(times), encoder + decoder, rates),
         "encoder": shares(encoder_seconds, encoder, [before, rates[0]]),
+        **beside,
         "products_gflop_per_s": [round(rate / 1e9, 1) for rate in rates],
         "peak_memory_gb": peak_memory_gb(),
     }
@@ -257,6 +291,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--images", type=int, default=10)
     parser.add_argument("--size", type=int, help="of the images (512)")
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument(
+        "--torch", action="store_true", help="the paper's network by PyTorch too"
+    )
     parser.add_argument("--train", action="store_true", help="a training step instead")
     parser.add_argument("--objects", type=int, help="in it; else what --config says")
     arguments = parser.parse_args(argv)
@@ -266,6 +303,11 @@ def main(argv: Sequence[str] | None = None) -> None:
         raise InputError(
             f"--objects {arguments.objects}: expected --train too, estimates are of "
             "one object; add it, or leave --objects out"
+        )
+    if arguments.torch and (arguments.train or arguments.config != "official"):
+        raise InputError(
+            "--torch: expected an estimate by the paper's network, leave --train and "
+            "--config out"
         )
     size = 512 if arguments.size is None else arguments.size
     official = arguments.config == "official"
@@ -287,7 +329,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         result = training_benchmark(config, arguments.images, arguments.repeats)
     else:
         result = estimation_benchmark(
-            config.model, arguments.images, size, arguments.repeats
+            config.model, arguments.images, size, arguments.repeats, arguments.torch
         )
     given = sys.argv[1:] if argv is None else argv
     print(

@@ -81,7 +81,8 @@ SPEED = """
 ## Speed and memory
 
 By `tools/benchmark.py`. Absolute seconds say little on shared machines: the rate is
-given as a share of the same run's float32 matrix products, whose own rate is given too.
+given as a share of the same run's float32 matrix products, whose own rate is given too;
+beside it that of the paper's network in PyTorch, written plainly, in turn in one run.
 
 """
 
@@ -191,9 +192,11 @@ def speed_table() -> str:
         share = f"{part['share_of_products']:.2f}"
         between = f"{min(rates):.0f} to {max(rates):.0f}"
         memory = "–" if memory is None else f"{memory:.2f}"
-        cells = [shown, line["device"], between, share, memory, line["date"]]
+        torch = line.get("torch", {}).get("share_of_products")
+        torch = "–" if torch is None else f"{torch:.2f}"
+        cells = [shown, line["device"], between, share, torch, memory, line["date"]]
         rows.append(cells)
-    names = ["command", "device", "GFLOP/s of products", "share", "GB", "date"]
+    names = "command", "device", "GFLOP/s of products", "share", "PyTorch", "GB", "date"
     return markdown(names, rows)
 
 

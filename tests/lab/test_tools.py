@@ -13,8 +13,10 @@ from flax.traverse_util import flatten_dict
 from reference_arrays import made_up, official_arrays
 from small_networks import SMALL, SMALL_OURS, lively_network, lively_weights
 
+from unips_jax import estimate_normals
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.models.network import EncoderDecoder, param_shapes
+from unips_jax.models.released import from_official
 from unips_jax.weights import load_weights, random_weights, save_weights, weights_record
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
@@ -57,6 +59,34 @@ def test_refusals_are_one_line(convert, tmp_path, capsys):
     assert "expected one file *_enc.pytmodel" in errors[0]
     assert "GCNet.pth: expected a torch state dict" in errors[1]
     assert not output.exists()
+
+
+def test_the_papers_network_by_pytorch_is_the_same(monkeypatch):
+    pytest.importorskip("torch", reason="torch is not installed")
+    monkeypatch.syspath_prepend(str(TOOLS))
+    tool = runpy.run_path(str(TOOLS / "benchmark.py"))
+    official = from_official(official_arrays())  # lively ones, not as they begin
+    config = dataclasses.replace(official.config, canonical_size=64)
+    network = dataclasses.replace(official, config=config)
+    images, mask = tool["disc"](3, 40)
+    normals = tool["torch_estimate"](network, images, mask)()
+    ours = estimate_normals(network, images, mask, frame="image")[mask]
+    np.testing.assert_allclose(normals, ours, atol=2e-5)
+
+
+def test_torch_without_torch_is_one_line(monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(TOOLS))
+    monkeypatch.setitem(sys.modules, "torch", None)
+    main = runpy.run_path(str(TOOLS / "benchmark.py"))["main"]
+    assert main(["--torch", "--train"]) == 2
+    network = SimpleNamespace(config=SimpleNamespace(canonical_size=64))
+    monkeypatch.setitem(
+        main.__wrapped__.__globals__, "random_weights", lambda config: network
+    )
+    assert main(["--torch", "--size", "32", "--images", "1"]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert "leave --train and --config out" in errors[0]
+    assert errors[1].endswith("--torch: torch is not installed: pip install torch")
 
 
 @pytest.mark.parametrize("network", ["gcnet", "ps_fcn", "lcnet"])
