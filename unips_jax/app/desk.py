@@ -144,7 +144,7 @@ class Desk:
                 work.gather,
                 chosen(item),
                 item.pictures,
-                _reading(item),
+                {"transfer": item.options.get("transfer", "auto")},
                 self.limits.pixels,
                 seconds=self.limits.gathering_s,
             )
@@ -159,9 +159,8 @@ class Desk:
         for photo in item.photographs:
             if photo.file in found["refused"]:
                 photo.state = "aside"
-                photo.why, photo.detail = _reason(
-                    found["refused"][photo.file], "unusable"
-                )
+                text = found["refused"][photo.file]
+                photo.why, photo.detail = _reason(text, "unusable")
             elif photo.file in found["same"]:
                 photo.state, photo.why = "aside", "same"
         item.found, item.found_version = found, version
@@ -288,10 +287,6 @@ class Desk:
 
 def _unread(item: Object) -> bool:
     return item.found_version != item.version or bool(item.of_state("new"))
-
-
-def _reading(item: Object) -> dict[str, Any]:
-    return {"transfer": item.options.get("transfer", "auto")}
 
 
 _PLAIN = (  # what errors begin with or name, and the page's words for it

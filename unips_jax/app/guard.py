@@ -32,10 +32,8 @@ _REFUSED = {
 
 def is_loopback(host: str) -> bool:
     """Whether an address is this machine's alone."""
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return host.lower() == "localhost"
+    address = _address(host.strip("[]"))
+    return host.lower() == "localhost" if address is None else address.is_loopback
 
 
 class Guard:
@@ -94,7 +92,7 @@ class Guard:
         # Addresses in digits can't be another site's.
         if name in self._names or is_loopback(name):
             return True
-        return not is_loopback(self._host) and _is_address(name)
+        return not is_loopback(self._host) and _address(name) is not None
 
 
 def _same_site(headers: dict[bytes, bytes], host: str) -> bool:
@@ -119,9 +117,9 @@ def _without_port(host: str) -> str:
     return host.partition(":")[0]
 
 
-def _is_address(name: str) -> bool:
+def _address(name: str) -> Any:
+    """The address that a name is in digits; None where it is none."""
     try:
-        ipaddress.ip_address(name)
+        return ipaddress.ip_address(name)
     except ValueError:
-        return False
-    return True
+        return None

@@ -83,14 +83,8 @@ def application(
 
 def _asset(name: str) -> Response:
     kind = _KINDS.get(Path(name).suffix)
-    found = next(
-        (
-            a
-            for a in (resources.files("unips_jax.app") / "assets").iterdir()
-            if a.name == name
-        ),
-        None,
-    )
+    folder = resources.files("unips_jax.app") / "assets"
+    found = {asset.name: asset for asset in folder.iterdir()}.get(name)
     if found is None or kind is None:
         return Response("there is no such file", 404)
     return Response(found.read_bytes(), media_type=kind)
@@ -103,14 +97,13 @@ def serve(
     results: Path,
     show: bool,
     weights: str = "tiny",
-    limits: Limits | None = None,
 ) -> None:
     """Serves the application until it is interrupted.
 
     Without a port it takes 8080, or the next that is free. `InputError` if the port is
     used, or the folder can't be.
     """
-    limits = limits or Limits()
+    limits = Limits()
     key = secrets.token_urlsafe(18)
     with (
         opened(results, days=limits.draft_days) as objects,

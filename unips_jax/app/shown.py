@@ -4,7 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from unips_jax.app.desk import Desk
-from unips_jax.app.objects import Object, Photograph
+from unips_jax.app.objects import Object
+
+_SHOWN = "version found problem mask options error findings seconds".split()
+_SHOWN_OF_PHOTOGRAPHS = "file name state why detail".split()
 
 
 def short(item: Object) -> dict[str, Any]:
@@ -22,18 +25,13 @@ def short(item: Object) -> dict[str, Any]:
 
 def whole(item: Object, desk: Desk, *, owner: bool) -> dict[str, Any]:
     """For its own page; the folder on disk is for the owner only."""
-    shown = short(item) | {
-        "photographs": [_photograph(photo) for photo in item.photographs],
-        "version": item.version,
-        "ready": item.found_version == item.version and not item.of_state("new"),
-        "found": item.found,
-        "problem": item.problem,
-        "mask": item.mask,
-        "options": item.options,
-        "error": item.error,
-        "findings": item.findings,
-        "seconds": item.seconds,
-    }
+    shown = short(item) | {name: getattr(item, name) for name in _SHOWN}
+    shown["photographs"] = [
+        {name: getattr(photo, name) for name in _SHOWN_OF_PHOTOGRAPHS}
+        | {"picture": bool(photo.facts)}
+        for photo in item.photographs
+    ]
+    shown["ready"] = item.found_version == item.version and not item.of_state("new")
     if item.state == "waiting":
         shown["ahead"] = desk.queue.index(item)
     if item.state == "running":
@@ -46,17 +44,6 @@ def whole(item: Object, desk: Desk, *, owner: bool) -> dict[str, Any]:
         if owner:
             shown["folder"] = item.target
     return shown
-
-
-def _photograph(photo: Photograph) -> dict[str, Any]:
-    return {
-        "file": photo.file,
-        "name": photo.name,
-        "state": photo.state,
-        "why": photo.why,
-        "detail": photo.detail,
-        "picture": bool(photo.facts),
-    }
 
 
 def _results(item: Object) -> list[dict[str, Any]]:

@@ -7,14 +7,8 @@ from pathlib import Path
 from unips_jax.app.objects import Object, Photograph
 from unips_jax.app.work import Chosen
 
-_TOGETHER = (
-    "size",
-    "type",
-    "encoding",
-    "same",
-    "unusable",
-    "black",
-)  # decided by the others
+# Reasons that follow from the other photographs.
+_TOGETHER = "size type encoding same unusable black".split()
 
 
 def use(item: Object, photo: Photograph, wanted: bool) -> None:

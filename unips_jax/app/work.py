@@ -148,12 +148,12 @@ def gather(
     if mask_from != "none":
         small = cv2.resize(255 * capture.mask.astype(np.uint8), picture.shape[1::-1])
         _write_mask(pictures / "mask.png", small)
-    same = {
-        name: "same"
+    same = [
+        name
         for reason, names in selection.left_out.items()
         for name in names
         if name in chosen.photographs and reason.startswith("the same")
-    }
+    ]
     height, width = capture.mask.shape
     return {
         "names": list(selection.names),
@@ -253,23 +253,16 @@ def estimate(
     if isinstance(mask, Path):
         full = mask.with_name("mask-full.png")
         first = chosen.folder / chosen.photographs[0]
-        write_image(full, _full_mask(mask, first, max_pixels))
+        shape = read_image_file(first, max_pixels=max_pixels).pixels.shape
+        soft = _drawn_mask(mask, shape)
+        if not (soft > 127).any():
+            raise InputError("the mask is empty: draw over the object, or take it all")
+        _write_mask(full, soft)
         mask = full
-    options = chosen.options(
-        mask,
-        max_pixels,
-        transfer=choices.transfer,
-        register=choices.register,
-        fast=choices.fast,
-        depth=True,
-        mesh="glb" if choices.mesh else None,
-        view=True,
-        focal="exif" if choices.perspective else None,
-        lights=choices.lights,
-        base_color=choices.base_color,
-        rti=choices.rti,
-        confidence=choices.confidence,
-    )
+    given = dataclasses.asdict(choices)
+    given["mesh"] = "glb" if given["mesh"] else None
+    given["focal"] = "exif" if given.pop("perspective") else None
+    options = chosen.options(mask, max_pixels, depth=True, view=True, **given)
     network = _network(weights)
     report("reading", 0.0)
 
@@ -295,14 +288,6 @@ def _write_preview(path: Path, normals: np.ndarray) -> None:
     picture = np.concatenate([colors, inside], axis=-1).astype(np.uint8)
     with new_file(path) as file:
         Image.fromarray(picture).save(file, format="png")
-
-
-def _full_mask(drawn: Path, photograph: Path, max_pixels: int) -> np.ndarray:
-    shape = read_image_file(photograph, max_pixels=max_pixels).pixels.shape
-    soft = _drawn_mask(drawn, shape)
-    if not (soft > 127).any():
-        raise InputError("the mask is empty: draw over the object, or take it all")
-    return np.where(soft > 127, 255, 0).astype(np.uint8)
 
 
 def _drawn_mask(drawn: Path, shape: tuple[int, ...]) -> np.ndarray:

@@ -120,6 +120,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     if photograph is not None:
         pixels = photograph.pixels
         colors = photograph_colors(pixels, photograph.encoding.transfer)
+    names = (field.name for field in dataclasses.fields(SurfaceOptions))
+    given = {name: getattr(options, name) for name in names} | {"focal": focal}
     start_jax()
     with (
         appearing_at_once(options.output, record=RECORD) as place,
@@ -129,33 +131,24 @@ def main(argv: Sequence[str] | None = None) -> None:
             place,
             normals,
             mask,
-            SurfaceOptions(
-                focal=focal,
-                prior_weight=options.prior_weight,
-                sharpness=options.sharpness,
-                scale=options.scale,
-                unit=options.unit,
-                mesh=options.mesh,
-                max_faces=options.max_faces,
-                cut=options.cut,
-            ),
+            SurfaceOptions(**given),
             prior=prior,
             colors=colors,
             progress=lambda share: report(round(100 * share), 100),
         )
         exported = _exports(options, place, normals, facts, colors)
-        names = sorted(file.name for file in place.iterdir())
+        written = sorted(file.name for file in place.iterdir())
         record = {
             "normals": str(options.normals),
             "mended": examined.mended,
             "warnings": examined.doubts,
             **facts,
             "exports": exported,
-            "files": names,
+            "files": written,
         }
         write_json(place / RECORD, record, indent=2)
     print_surface(facts)
-    print_line("wrote", f"{options.output}/: {', '.join([*names, RECORD])}")
+    print_line("wrote", f"{options.output}/: {', '.join([*written, RECORD])}")
 
 
 def _exports(

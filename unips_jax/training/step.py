@@ -1,5 +1,6 @@
 """One training step: augment, losses and gradients, update, average."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -69,7 +70,7 @@ def batch_loss(
     params: Any, batch: Batch, *keys: Array, config: Config
 ) -> tuple[Array, dict[str, Array]]:
     """Mean loss over a batch of B objects, and their mean metrics; keys `[2, B]`."""
-    data, train = config.data, config.train
+    data = config.data
     objects = Objects(**batch)
     num_images = objects.images.shape[1]
     if data.augment:
@@ -78,18 +79,11 @@ def batch_loss(
         draw = functools.partial(draw_known_lights, share=data.known_lights_rate)
         drawn = jax.vmap(draw)(objects.incident, keys[0])
         objects = objects._replace(known_lights=drawn)
-    options = LossOptions(
-        num_pixels=data.pixels_for(num_images),
-        frame=data.frame,
-        grid_loss=data.grid_loss,
-        squared_loss=train.squared_loss,
-        coarse_guess_weight=train.coarse_guess_weight,
-        lights_guess_weight=train.lights_guess_weight,
-        kinds_guess_weight=train.kinds_guess_weight,
-        pixel_blocks=data.pixel_blocks,
-        steepness_weight=train.steepness_weight,
-        differences_weight=train.differences_weight,
-    )
+    # The loss' options have the names of the fields that they come from.
+    given = vars(data) | vars(config.train)
+    given["num_pixels"] = data.pixels_for(num_images)
+    fields = dataclasses.fields(LossOptions)
+    options = LossOptions(**{field.name: given[field.name] for field in fields})
     network = UniversalNetwork(config.model, params)
     return training_loss(network, objects, keys[1], options)
 

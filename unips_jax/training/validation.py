@@ -56,19 +56,10 @@ def held_out_scenes(
 
 
 def estimate_held_out(
-    network: UniversalNetwork,
-    scenes: SceneConfig,
-    *,
-    count: int,
-    num_images: int,
-    size: int,
-    **scene_options: Any,
+    network: UniversalNetwork, scenes: SceneConfig, **options: Any
 ) -> Iterator[tuple[Scene, jax.Array]]:
     """Held-out scenes and their estimated normals; arguments as in `validate`."""
-    drawn = held_out_scenes(
-        scenes, count=count, num_images=num_images, size=size, **scene_options
-    )
-    for scene in drawn:
+    for scene in held_out_scenes(scenes, **options):
         yield scene, estimate_normals(network, scene.images, scene.mask)
 
 
