@@ -1,5 +1,6 @@
 """Files as phones and cameras write them: raw, HEIC, AVIF, MPO; and TGA."""
 
+import importlib.util
 import struct
 import sys
 
@@ -76,6 +77,22 @@ def test_a_damaged_raw_file_is_one_quiet_error(tmp_path, capfd):
         with pytest.raises(InputError, match=r"a\.dng: expected .*image"):
             read_image(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", ["RAF", "RW2", "ORF", "PEF", "SRW", "mrw", "nef"])
+@pytest.mark.parametrize("content", [b"x" * 64, b"\0MRM" + bytes(300)])
+def test_raw_files_without_a_known_mark_are_named_by_their_suffix(
+    suffix, content, tmp_path, monkeypatch
+):
+    path = tmp_path / f"p.{suffix}"
+    path.write_bytes(content)
+    kind = rf"got a camera's raw file by its name \({suffix.upper()}\)"
+    if importlib.util.find_spec("rawpy") is not None:
+        with pytest.raises(InputError, match=f"{kind} that is damaged or that LibRaw"):
+            read_image(path)
+    monkeypatch.setitem(sys.modules, "rawpy", None)
+    with pytest.raises(InputError, match=f"{kind}; pip install rawpy, or develop it"):
+        read_image(path)
 
 
 def heic(path, picture, **options):

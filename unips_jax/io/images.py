@@ -180,7 +180,7 @@ def check_picture(path: Path, option: str) -> None:
 
 def _header(data: bytes, path: Path, vectors: bool, max_pixels: int) -> Encoded:
     try:
-        header = open_encoded(data, vectors=vectors)
+        header = open_encoded(data, vectors=vectors, suffix=path.suffix.lower())
     except (NotRead, Damaged) as error:
         raise _unreadable(path, error) from None
     if max(header.height * header.width, header.allocated) > max_pixels:

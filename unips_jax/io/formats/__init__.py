@@ -1,6 +1,7 @@
 """Image formats: a file's header, and then its pixels.
 
-A format is known by content, never by name. Each has one reader for all its variants:
+A format is known by content, never by name, but for raw files of cameras that mark
+them in no way. Each has one reader for all its variants:
 TIFF tifffile; EXR OpenEXR; JPEG libjpeg-turbo by simplejpeg, which gives a decoder's
 warnings as errors; PNG, WebP and Radiance HDR imagecodecs; BMP, GIF, PBM, TGA and AVIF
 Pillow; HEIC pillow-heif and cameras' raw files rawpy, where these are installed. All
@@ -16,6 +17,7 @@ import numpy as np
 
 from unips_jax.io.formats import camera, exr, raster, tiff
 from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead
+from unips_jax.io.naming import RAW_SUFFIXES
 
 __all__ = ["Damaged", "Encoded", "NotRead", "decode", "open_encoded"]
 
@@ -39,8 +41,11 @@ _RAW = (  # cameras' raw files that are no TIFF
 )
 
 
-def open_encoded(data: bytes, *, vectors: bool = False) -> Encoded:
-    """Reads a file's header, or raises `NotRead` (a kind) or `Damaged`."""
+def open_encoded(data: bytes, *, vectors: bool = False, suffix: str = "") -> Encoded:
+    """Reads a file's header, or raises `NotRead` (a kind) or `Damaged`.
+
+    `suffix` is its name's, in small letters; `vectors`: of normals.
+    """
     for pattern, name in _OTHERS:
         if re.match(pattern, data[:16], re.DOTALL):
             raise NotRead(name)
@@ -50,14 +55,20 @@ def open_encoded(data: bytes, *, vectors: bool = False) -> Encoded:
         for pattern, name in _RAW:
             if re.match(pattern, data[:16], re.DOTALL):
                 return camera.open_raw(data, name)
-        return _opener(data)(data)
+        opener = _opener(data)
+        if opener is None and suffix in RAW_SUFFIXES:
+            kind = f"a camera's raw file by its name ({suffix[1:].upper()})"
+            return camera.open_raw(data, kind)
+        if opener is None:
+            raise Damaged("")
+        return opener(data)
     except (NotRead, Damaged):
         raise
     except Exception as error:  # the libraries raise many kinds
         raise Damaged(_said(error)) from error
 
 
-def _opener(data: bytes) -> Callable[[bytes], Encoded]:
+def _opener(data: bytes) -> Callable[[bytes], Encoded] | None:
     if data.startswith(tiff.MAGICS):
         return _open_tiff
     if data[4:8] == b"ftyp":
@@ -76,7 +87,7 @@ def _opener(data: bytes) -> Callable[[bytes], Encoded]:
         return raster.open_by_pillow
     if raster.is_tga(data):
         return raster.open_by_pillow
-    raise Damaged("")
+    return None
 
 
 def _open_tiff(data: bytes) -> Encoded:

@@ -44,7 +44,8 @@ def open_raw(data: bytes, name: str) -> Encoded:
             sizes = raw.sizes
     except rawpy.LibRawFileUnsupportedError:
         raise NotRead(
-            f"{name} that LibRaw does not know", "develop it to 16-bit TIFF"
+            f"{name} that is damaged or that LibRaw does not know",
+            "copy it again, develop it to 16-bit TIFF",
         ) from None
 
     def decode() -> np.ndarray:
