@@ -28,7 +28,7 @@ _EXPOSURES = 1.26  # a third of a stop
 def check_capture(
     capture: Capture, names: Sequence[str], *, motion: Motion | None = None
 ) -> list[Finding]:
-    """Lists what is wrong with photographs, whose `motion` may be known; or nothing."""
+    """Lists what is wrong with photographs, whose `motion` may be known already."""
     images, mask = capture.images, capture.mask
     if motion is None:
         motion = find_motion(images, None if mask.all() else mask)

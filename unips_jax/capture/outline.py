@@ -35,7 +35,7 @@ def outline_shifts(
 ) -> OutlineShifts | None:
     """How far the outlines of photographs `[N, H, W, 3]` lie from one another.
 
-    They are looked at in `scale`, at most 1; offsets are of full size.
+    Looked at in `scale`, at most 1; offsets are in pixels of the photographs.
     """
     small = cv2.resize(
         mask.astype(np.float32), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA

@@ -151,8 +151,16 @@ class _Job(NamedTuple):
 
 def _jobs(options: Options) -> list[_Job]:
     """What is to be estimated: every folder, or every view of them."""
+    if not options.folders:
+        raise InputError("expected a folder of photographs, got none; name it")
+    if options.random_weights and options.weights != "tiny":
+        raise InputError(
+            f"--weights {options.weights}: expected one choice of weights, got "
+            "--random-weights too; leave one out"
+        )
     jobs: dict[Path, _Job] = {}
-    for folder, target in _targets(options).items():
+    for folder in dict.fromkeys(options.folders):
+        target = options.output / folder_name(folder)
         if options.pause is None:
             found = [_Job(folder, target, options.how)]
         else:
@@ -160,7 +168,7 @@ def _jobs(options: Options) -> list[_Job]:
         for job in found:
             if job.target in jobs:
                 raise InputError(
-                    f"{job.title}: expected folders and views of different names, got "
+                    f"{job.title}: expected folders of different names, or views, got "
                     f"one named as that of {jobs[job.target].title}; run them one by "
                     "one with different -o"
                 )
@@ -191,29 +199,6 @@ def _views(folder: Path, target: Path, how: FolderOptions, pause: float) -> list
         )
         for index, view in enumerate(views)
     ]
-
-
-def _targets(options: Options) -> dict[Path, Path]:
-    """The place of each folder's results."""
-    if not options.folders:
-        raise InputError("expected a folder of photographs, got none; name it")
-    if options.random_weights and options.weights != "tiny":
-        raise InputError(
-            f"--weights {options.weights}: expected one choice of weights, got "
-            "--random-weights too; leave one out"
-        )
-    targets: dict[Path, Path] = {}
-    owners: dict[Path, Path] = {}
-    for folder in dict.fromkeys(options.folders):
-        target = options.output / folder_name(folder)
-        if target in owners:
-            raise InputError(
-                f"{folder}: expected folders of different names, got one named as "
-                f"{owners[target]}; run them one by one with different -o"
-            )
-        owners[target] = folder
-        targets[folder] = target
-    return targets
 
 
 if __name__ == "__main__":

@@ -78,9 +78,10 @@ def columns(names: Iterable[str], labels: Iterable[str] = ()) -> list[Column]:
 def row(
     *values: Value, kind: Kind = "own", method: str = "", best: Iterable[int] = ()
 ) -> Row:
-    """A row of bare values, one for each column, named by its first.
+    """A row of bare values, one for each column.
 
-    Cells of `best` are bold; `method` is the label of the row's method.
+    Cells of `best` are bold; `method` is the label of the method that the first one
+    names.
     """
     best = set(best)
     cells = [Cell(value, i in best) for i, value in enumerate(values)]

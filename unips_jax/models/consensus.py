@@ -25,7 +25,7 @@ _MLP_RATIO = 3
 
 
 class Consensus(nn.Module):
-    """Changes contexts by what the images of their set agree on; begins as nothing.
+    """Changes contexts by what the images of their set agree on; identity at first.
 
     A map of the set comes from the contexts' mean and maximum over the images; each
     image's light from how its contexts go with that map; a better map from both.

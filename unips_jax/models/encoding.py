@@ -70,7 +70,7 @@ def communicate(
     deterministic: bool,
     by_place: Pieces = whole,
 ) -> Array:
-    """Lets every N maps `[h, w, C]` in a row, a set, exchange features by place."""
+    """Lets the images of a set (N maps in a row) exchange features at each place."""
     sets = level.reshape(-1, num_images, *level.shape[1:])
     sets = jnp.moveaxis(sets, 1, -2)  # [M / N, h, w, N, C]
     places = sets.reshape(-1, *sets.shape[-2:])

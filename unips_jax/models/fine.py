@@ -36,7 +36,7 @@ def at_nodes(contexts: Array) -> Array:
 
 
 class Fine(nn.Module):
-    """Contexts at the nodes, changed by convolutions. Begins without a change."""
+    """Contexts at the nodes, changed by convolutions; unchanged at first."""
 
     features: int
     dtype: DTypeLike = jnp.float32

@@ -15,7 +15,7 @@ from unips_jax.models.set_attention import dense
 
 
 class KnownLights(nn.Module):
-    """What a known light changes of what an image says of it; begins as nothing."""
+    """What a known light changes of what an image says of it; zero at first."""
 
     features: int
     dtype: DTypeLike = jnp.float32

@@ -32,7 +32,7 @@ class LightGuess(NamedTuple):
 
 
 class LightTokens(nn.Module):
-    """Changes what is known of each image's light by its kind; begins as nothing."""
+    """Changes what is known of each image's light by its kind; identity at first."""
 
     features: int  # a multiple of 32
     dtype: DTypeLike = jnp.float32
@@ -41,7 +41,7 @@ class LightTokens(nn.Module):
     def __call__(
         self, cells: Array, light: Array, valid: Array | None
     ) -> tuple[Array, LightGuess]:
-        """How images go with the shape `[B, N, T, F]`; their light `[B, N, F]`."""
+        """The light `[B, N, F]`, changed by cells `[B, N, T, F]`, and the guesses."""
         batch, images = light.shape[:2]
         count = _KINDS + _REGISTERS
         options: dict[str, Any] = dict(

@@ -26,7 +26,7 @@ def leading(x: Array, ndim: int) -> Array:
 
 
 def known(condition: Callable[[], Any]) -> bool:
-    """Whether a condition on shapes holds; False where `jax.export` has symbols."""
+    """Whether a condition on shapes holds; False if unknown, as under `jax.export`."""
     try:
         return bool(condition())
     except jax.errors.InconclusiveDimensionOperation:

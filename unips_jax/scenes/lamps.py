@@ -79,7 +79,7 @@ def draw_lights(
 ) -> tuple[KeyLights, Environment]:
     """Draws one scene's lights; what its kind lacks has no brightness.
 
-    Of at least 110 + 20 N numbers; `sides` None: from anywhere; `photographs`: what
+    From at least 110 + 20 N numbers; `sides` None: from anywhere; `photographs`: what
     draws photographed environments, 6 numbers, and their share.
     """
     turn = 1.0 if sides is None else sides.turn

@@ -49,7 +49,7 @@ def _gradient(h: Array, x: Array, y: Array, z: Array) -> Array:
 
 
 def gradient_noise(seed: Array, point: Point) -> Array:
-    """Perlin's gradient noise with hashed gradients, cell size 1: about 0 +- 0.3."""
+    """Perlin's gradient noise with hashed gradients, cell size 1, in about [-1, 1]."""
     floor = [jnp.floor(c) for c in point]
     x, y, z = (c - f for c, f in zip(point, floor, strict=True))
     cell = [f.astype(jnp.int32).astype(jnp.uint32) for f in floor]

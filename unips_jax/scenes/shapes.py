@@ -41,7 +41,7 @@ def draw_detail(
     frequencies: tuple[float, float] = (4.0, 14.0),
     slopes: tuple[float, float] = (0.04, 0.5),
 ) -> Detail:
-    """Draws a fine relief of at least 14 numbers; `key` is for the noise."""
+    """Draws a fine relief from at least 14 numbers; `key` is for the noise."""
     frequency = draws.log_uniform(*frequencies)
     slope = draws.log_uniform(*slopes)
     pattern = draws.choice([0.45, 0.12, 0.12, 0.12, 0.12])

@@ -103,7 +103,7 @@ def warmth(draws: Draws, amount: float, *shape: int) -> Array:
 def draw_environment(
     draws: Draws, num_images: int, turn: Array | float = 1.0
 ) -> Environment:
-    """Draws a sky, a room, a studio or a mixture of lobes, of 80 + 5 N numbers."""
+    """Draws a sky, a room, a studio or a mixture of lobes from 80 + 5 N numbers."""
     kind = draws.choice([0.3, 0.3, 0.2, 0.2])
     sky, room, studio = kind == 0, kind == 1, kind == 2
     dim = draws.log_uniform(0.02, 0.25)

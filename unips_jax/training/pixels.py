@@ -20,7 +20,7 @@ class DrawnPixels(NamedTuple):
 
 
 def draw_pixels(mask: Array, count: int, key: Array) -> DrawnPixels:
-    """Draws pixels of `[H, W]`, all different; some outside where masks are small."""
+    """Draws different pixels of a mask `[H, W]`; some outside where it is small."""
     flat = mask.reshape(-1)
     order = jnp.where(flat, jax.random.uniform(key, flat.shape, jnp.float32), -1)
     chosen, index = jax.lax.top_k(order, min(count, flat.size))

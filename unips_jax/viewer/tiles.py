@@ -47,7 +47,7 @@ def facts_of(view: View) -> dict[str, Any] | None:
 
 
 def write_tiles(folder: Path, result: Result, view: View) -> int:
-    """Writes, and counts, `LAYER-LEVEL-ROW-COLUMN.js` of all that has pixels."""
+    """Writes `LAYER-LEVEL-ROW-COLUMN.js` of all layers; returns their number."""
     count = 0
     levels = level_views(view)
 

@@ -76,7 +76,7 @@ class Studio:
         return len(self.points)
 
     def place(self, rotation: list[float], focal_mm: float | None) -> bool:
-        """Turns the object (w first) to reach the frame's edge; whether it can."""
+        """Turns the object (w first) and fits it to the frame; whether that works."""
         turned = self.points @ np.array(Quaternion(rotation).to_matrix()).T
         camera = bpy.context.scene.camera
         if focal_mm is None:

@@ -88,7 +88,7 @@ def read_mat(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 
 def read_mat_normals(path: Path) -> np.ndarray:
-    """Normals `[H, W, 3]` of a MATLAB file, as stored, float32; by name or the only."""
+    """Normals `[H, W, 3]` of a MATLAB file, as stored: the only ones, or by name."""
     content = {
         key: value
         for key, value in _variables(path).items()
