@@ -11,8 +11,7 @@ import pytest
 pytest.importorskip("starlette", reason="starlette is not installed")
 pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 
-import unips_jax.app.desk as desk_module
-from unips_jax.app import work
+from unips_jax.app import answers, work
 from unips_jax.app.guard import Guard
 from unips_jax.app.server import listening
 from unips_jax.cli.app import main as app
@@ -205,7 +204,7 @@ def test_both_languages_say_all_of_it():
         codes |= set(re.findall(r'Refused\(\s*\d+, "(\w+)"', text))
         codes |= set(re.findall(r'"(disk_full|not_stored)"', text))
     assert {f"problem_{code}" for code in codes} <= english.keys()
-    assert {f"why_{why}" for _, why in desk_module._PLAIN} <= english.keys()
+    assert {f"why_{why}" for _, why in answers.PLAIN} <= english.keys()
 
 
 def test_a_bad_port_is_one_line(capsys):

@@ -14,6 +14,7 @@ pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 from app_client import drawn
 
 from unips_jax.app import work
+from unips_jax.app.small_pictures import full_mask, write_preview
 from unips_jax.app.worker import Worker
 from unips_jax.errors import InputError
 from unips_jax.io.images import write_image
@@ -105,18 +106,18 @@ def test_a_call_that_is_cancelled_ends_at_once():
 def test_a_drawn_mask_has_the_photographs_size(tmp_path):
     write_image(tmp_path / "a.png", np.full((50, 70, 3), 9, np.uint8))
     (tmp_path / "drawn.png").write_bytes(drawn(40))
-    full = work._full_mask(tmp_path / "drawn.png", tmp_path / "a.png", 10**6)
-    assert full.shape == (50, 70) and set(np.unique(full)) == {0, 255}
-    assert (full > 0).mean() == pytest.approx(20 * 30 / (48 * 64), abs=0.02)
+    full = full_mask(tmp_path / "drawn.png", tmp_path / "a.png", 10**6)
+    assert full.shape == (50, 70) and full.dtype == bool
+    assert full.mean() == pytest.approx(20 * 30 / (48 * 64), abs=0.02)
     (tmp_path / "drawn.png").write_bytes(drawn(10))
     with pytest.raises(InputError, match="the mask is empty"):
-        work._full_mask(tmp_path / "drawn.png", tmp_path / "a.png", 10**6)
+        full_mask(tmp_path / "drawn.png", tmp_path / "a.png", 10**6)
 
 
 def test_coarse_normals_are_a_picture(tmp_path):
     normals = np.zeros((3, 5, 3), np.float32)
     normals[1, 2] = 0, 0.6, 0.8
-    work._write_preview(tmp_path / "preview.png", normals)
+    write_preview(tmp_path / "preview.png", normals)
     picture = cv2.imread(str(tmp_path / "preview.png"), cv2.IMREAD_UNCHANGED)
     assert picture.shape == (3, 5, 4) and picture[..., 3].sum() == 255
     assert picture[1, 2].tolist() == [round(127.5 * 1.8), 204, 128, 255]

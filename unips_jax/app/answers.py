@@ -20,6 +20,13 @@ from unips_jax.io.results import RECORD
 _JSON_BYTES = 100_000
 _FULL = (28, 122)  # ENOSPC, EDQUOT
 _ROOM = 300_000_000  # bytes of the disk that stay free
+PLAIN = (  # what errors begin with or name, and the page's words for it
+    ("expected a readable image", "damaged"),
+    ("out of memory", "too_many_pixels"),
+    ("expected at most", "too_many_pixels"),
+    ("expected light on the object", "black"),
+    ("expected to be done within", "too_slow"),
+)
 
 
 class Refused(Exception):
@@ -128,3 +135,16 @@ def file_answer(
     if path is None:
         raise Refused(404, "gone")
     return FileResponse(path, filename=name, headers=headers)
+
+
+def reason_of(text: str, other: str = "unreadable") -> tuple[str, str]:
+    """The page's word for why a file is set aside, and the detail where it has none."""
+    plain = next((why for part, why in PLAIN if part in text), None)
+    return (plain, "") if plain else (other, text)
+
+
+def without_folder(text: str, path: Path) -> str:
+    """Errors name files by this machine's folders, which say nothing to visitors."""
+    for known in (path, path.parent):
+        text = text.replace(f"{known}: ", "").replace(f"{known}/", "")
+    return text.replace(str(path), path.name)

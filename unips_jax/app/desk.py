@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from unips_jax.app import exports, work
+from unips_jax.app.answers import reason_of, without_folder
 from unips_jax.app.limits import Limits
 from unips_jax.app.objects import Object, Objects, Photograph, clean
 from unips_jax.app.sorting import chosen, sort_out, take
@@ -118,7 +119,7 @@ class Desk:
             )
         except InputError as error:
             photo.state = "aside"
-            photo.why, photo.detail = _reason(without_folder(str(error), path))
+            photo.why, photo.detail = reason_of(without_folder(str(error), path))
         else:
             if "frames" in facts:
                 item.photographs.remove(photo)
@@ -160,7 +161,7 @@ class Desk:
             if photo.file in found["refused"]:
                 photo.state = "aside"
                 text = found["refused"][photo.file]
-                photo.why, photo.detail = _reason(text, "unusable")
+                photo.why, photo.detail = reason_of(text, "unusable")
             elif photo.file in found["same"]:
                 photo.state, photo.why = "aside", "same"
         item.found, item.found_version = found, version
@@ -287,25 +288,3 @@ class Desk:
 
 def _unread(item: Object) -> bool:
     return item.found_version != item.version or bool(item.of_state("new"))
-
-
-_PLAIN = (  # what errors begin with or name, and the page's words for it
-    ("expected a readable image", "damaged"),
-    ("out of memory", "too_many_pixels"),
-    ("expected at most", "too_many_pixels"),
-    ("expected light on the object", "black"),
-    ("expected to be done within", "too_slow"),
-)
-
-
-def _reason(text: str, other: str = "unreadable") -> tuple[str, str]:
-    """The page's word for why a file is set aside, and the detail where it has none."""
-    plain = next((why for part, why in _PLAIN if part in text), None)
-    return (plain, "") if plain else (other, text)
-
-
-def without_folder(text: str, path: Path) -> str:
-    """Errors name files by this machine's folders, which say nothing to visitors."""
-    for known in (path, path.parent):
-        text = text.replace(f"{known}: ", "").replace(f"{known}/", "")
-    return text.replace(str(path), path.name)

@@ -13,15 +13,19 @@ from typing import Any
 
 import cv2
 import numpy as np
-from PIL import Image
 
+from unips_jax.app.small_pictures import (
+    PICTURE,
+    drawn_mask,
+    full_mask,
+    thumbnail,
+    write_preview,
+)
 from unips_jax.app.worker import Report
 from unips_jax.errors import InputError
-from unips_jax.io.color import Transfer, as_linear, srgb_encode
-from unips_jax.io.door import new_file, writing
+from unips_jax.io.door import writing
 from unips_jax.io.images import read_image_file, write_image
-
-_THUMBNAIL, _PICTURE = 240, 1024
+from unips_jax.pictures.maps import shrink
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +68,7 @@ class Chosen:
 
 
 def look(
-    photograph: Path, thumbnail: Path, max_pixels: int, *, report: Report
+    photograph: Path, small: Path, max_pixels: int, *, report: Report
 ) -> dict[str, Any]:
     """The facts of a photograph, which is decoded; writes a small picture of it.
 
@@ -78,7 +82,7 @@ def look(
             return {"frames": frames}
     file = read_image_file(photograph, max_pixels=max_pixels)
     transfer = file.encoding.transfer
-    write_image(thumbnail, _small_picture(file.pixels, transfer))
+    write_image(small, thumbnail(file.pixels, transfer))
     return {
         "width": file.header.width,
         "height": file.header.height,
@@ -143,11 +147,11 @@ def gather(
     capture, mask_from = looked.capture, "file"
     if selection.mask_file is None:
         mask_from = "suggested" if looked.facts["mask_suggested"] else "none"
-    picture = _shrunk(mask_picture(capture.images, transfer=capture.transfer), _PICTURE)
+    picture = shrink(mask_picture(capture.images, transfer=capture.transfer), PICTURE)
     write_image(pictures / "picture.jpg", picture)
     if mask_from != "none":
         small = cv2.resize(255 * capture.mask.astype(np.uint8), picture.shape[1::-1])
-        _write_mask(pictures / "mask.png", small)
+        _write_mask(pictures / "mask.png", small > 127)
     same = [
         name
         for reason, names in selection.left_out.items()
@@ -191,7 +195,7 @@ def cut(picture: Path, box: Sequence[float], target: Path, *, report: Report) ->
     from unips_jax.capture.grabcut import grabcut_mask
 
     mask = grabcut_mask(read_image_file(picture).pixels, box=tuple(box))
-    write_image(target, 255 * mask.astype(np.uint8))
+    _write_mask(target, mask)
 
 
 def piece(
@@ -206,8 +210,12 @@ def piece(
     from unips_jax.capture.masks import toggle_piece
 
     pixels = read_image_file(picture).pixels
-    mask = _drawn_mask(drawn, pixels.shape) > 127
-    write_image(target, 255 * toggle_piece(mask, pixels, point).astype(np.uint8))
+    mask = drawn_mask(drawn, pixels.shape)
+    _write_mask(target, toggle_piece(mask, pixels, point))
+
+
+def _write_mask(path: Path, mask: np.ndarray) -> None:
+    write_image(path, 255 * mask.astype(np.uint8))
 
 
 @functools.lru_cache(maxsize=1)
@@ -253,11 +261,7 @@ def estimate(
     if isinstance(mask, Path):
         full = mask.with_name("mask-full.png")
         first = chosen.folder / chosen.photographs[0]
-        shape = read_image_file(first, max_pixels=max_pixels).pixels.shape
-        soft = _drawn_mask(mask, shape)
-        if not (soft > 127).any():
-            raise InputError("the mask is empty: draw over the object, or take it all")
-        _write_mask(full, soft)
+        _write_mask(full, full_mask(mask, first, max_pixels))
         mask = full
     given = dataclasses.asdict(choices)
     given["mesh"] = "glb" if given["mesh"] else None
@@ -276,40 +280,6 @@ def estimate(
         network,
         options,
         on_progress=progress,
-        on_preview=lambda normals: _write_preview(preview, normals),
+        on_preview=lambda normals: write_preview(preview, normals),
     )
     return list(record["findings"])
-
-
-def _write_preview(path: Path, normals: np.ndarray) -> None:
-    """Coarse normals as a picture, transparent outside the object."""
-    inside = 255 * normals.any(axis=-1, keepdims=True)
-    colors = np.rint(127.5 * (normals + 1))
-    picture = np.concatenate([colors, inside], axis=-1).astype(np.uint8)
-    with new_file(path) as file:
-        Image.fromarray(picture).save(file, format="png")
-
-
-def _drawn_mask(drawn: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """What was drawn, in a photograph's size, from 0 to 255."""
-    values = read_image_file(drawn, max_pixels=_PICTURE**2).pixels.max(axis=-1)
-    return cv2.resize(values.astype(np.float32), shape[1::-1])
-
-
-def _write_mask(path: Path, values: np.ndarray) -> None:
-    write_image(path, np.where(values > 127, 255, 0).astype(np.uint8))
-
-
-def _small_picture(image: np.ndarray, transfer: Transfer) -> np.ndarray:
-    step = max(1, max(image.shape[:2]) // (4 * _THUMBNAIL))  # little is converted
-    image = np.nan_to_num(image[::step, ::step], posinf=0, neginf=0)
-    linear = _shrunk(as_linear(image, transfer), _THUMBNAIL)
-    if transfer == "linear":
-        linear = linear / (float(np.percentile(linear, 99.5)) or 1.0)
-    return np.rint(255 * srgb_encode(np.clip(linear, 0, 1))).astype(np.uint8)
-
-
-def _shrunk(picture: np.ndarray, side: int) -> np.ndarray:
-    from unips_jax.pictures.maps import shrink
-
-    return shrink(picture, side)
