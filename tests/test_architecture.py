@@ -43,7 +43,7 @@ def test_every_room_is_on_the_map(room):
 # What writes past the door of `io/door.py`, by file: how often, and why that is right.
 # `cycles/blender` runs inside Blender, which sees nothing of ours.
 DIRECT = {
-    "app/objects.py": (5, "an object's folder, copied or linked before it is shown"),
+    "app/objects.py": (2, "links, in a folder that appears at once; a lock"),
     "app/work.py": (1, "moves frames from another disk, within `writing`"),
     "cycles/blender_process.py": (1, "Blender's own messages, in a temporary folder"),
     "io/door.py": (4, "the door"),

@@ -152,8 +152,9 @@ def test_shapes_come_in_turn(monkeypatch, tmp_path, scene, capsys):
 
 def test_several_processes_share_a_tree(monkeypatch, tmp_path, scene):
     _stand_in(monkeypatch, scene)
-    leftover = tmp_path / "mixed" / ".obj001.data.killed"
+    leftover = tmp_path / "mixed" / ".unips-killed"
     leftover.mkdir(parents=True)
+    leftover.with_suffix(".lock").touch()
     (tmp_path / ".locks").mkdir()
     arguments = ["-o", str(tmp_path), "--objects", "2", "--images", "2"]
     with ThreadPoolExecutor() as pool:

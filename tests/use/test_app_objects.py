@@ -1,13 +1,16 @@
 """The application's objects: folders on disk, and their names."""
 
+import errno
 import os
 import re
 import time
 
 import pytest
+from small_disk import files_below, fill_after
 
 from unips_jax.app.objects import Photograph, clean, opened, unused
 from unips_jax.errors import InputError
+from unips_jax.io.door import NotWritten
 
 
 @pytest.mark.parametrize(
@@ -82,3 +85,28 @@ def test_old_drafts_and_removed_objects_are_cleared(tmp_path):
     with opened(tmp_path, days=30) as objects:
         assert {item.id for item in objects.all()} == {kept.id, done.id}
         assert not old.folder.exists() and not removed.folder.exists()
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_on_a_full_disk_an_object_is_whole_or_none(count, tmp_path, monkeypatch):
+    photographs = {f"{index}.png": b"photograph" for index in range(4)}
+    with opened(tmp_path, days=30) as objects:
+        earlier = objects.begin("pot", photographs)
+        earlier.drawn.write_bytes(b"mask")
+        (earlier.pictures / "small.jpg").write_bytes(b"thumbnail")
+        there = files_below(tmp_path)
+        with monkeypatch.context() as patch:
+            fill_after(patch, count)
+            for make in (
+                lambda: objects.begin("pot", photographs),
+                lambda: objects.again(earlier),
+            ):
+                with pytest.raises(NotWritten, match="No space left") as caught:
+                    make()
+                assert caught.value.errno == errno.ENOSPC
+        assert files_below(tmp_path) == there and objects.all() == [earlier]
+        copy = objects.again(earlier)
+        assert copy.photographs == earlier.photographs
+        assert len(files_below(copy.folder)) == 9
+    with opened(tmp_path, days=30) as objects:
+        assert {item.id for item in objects.all()} == {earlier.id, copy.id}

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
+from small_disk import files_below, fill_after
 from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax import NnxNetwork, estimate_normals, load_weights
@@ -37,6 +38,20 @@ def test_it_gives_the_functions_normals_and_gradients(network, seen):
     assert len(leaves) == len(jax.tree.leaves(network.params))
     for a, b in zip(leaves, jax.tree.leaves(wanted.params), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_on_a_full_disk_a_folder_stays_what_it_was(
+    count, network, tmp_path, monkeypatch
+):
+    (tmp_path / "config.json").write_text("before")
+    with monkeypatch.context() as patch:
+        fill_after(patch, count)
+        with pytest.raises(InputError, match="cannot be written: No space left"):
+            NnxNetwork(network).save_pretrained(tmp_path)
+    assert files_below(tmp_path) == {"config.json": b"before"}
+    NnxNetwork(network).save_pretrained(tmp_path)
+    assert len(files_below(tmp_path)) == 3
 
 
 def test_a_folder_comes_back_with_what_was_trained(network, seen, tmp_path):

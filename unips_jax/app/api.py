@@ -103,16 +103,15 @@ class Api:
         drafts = [i for i in self._objects.all() if i.state not in OVER]
         if len(drafts) >= self._limits.objects:
             raise Refused(409, "too_many_objects", most=self._limits.objects)
-        item = self._objects.begin()
         if wanted.get("example") is True:
-            item.name = "example"
             sample = resources.files("unips_jax") / "assets/sample/obj000.data"
-            for index in range(8):
-                name = f"photo_{index + 1}.png"
-                data = (sample / f"L_{index:02}.png").read_bytes()
-                write_whole(item.inbox / name, data, sync=False)
-                item.photographs.append(Photograph(name, name, len(data)))
-            item.changed()
+            photographs = {
+                f"photo_{index + 1}.png": (sample / f"L_{index:02}.png").read_bytes()
+                for index in range(8)
+            }
+            item = self._objects.begin("example", photographs)
+        else:
+            item = self._objects.begin()
         return JSONResponse({"id": item.id})
 
     async def show(self, request: Request, item: Object) -> Response:

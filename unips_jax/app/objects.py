@@ -11,19 +11,20 @@ import contextlib
 import dataclasses
 import datetime
 import json
-import os
 import re
 import secrets
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
 from unips_jax.io.door import write_whole
+from unips_jax.io.results import appearing_at_once, link_or_copy
 
+_FILE = "object.json"
 OVER = ("done", "failed", "cancelled", "interrupted")
 
 
@@ -106,7 +107,7 @@ class Object:
         del record["folder"]
         text = json.dumps(record, ensure_ascii=False)
         data = text.encode(errors="backslashreplace")
-        write_whole(self.folder / "object.json", data)
+        write_whole(self.folder / _FILE, data)
 
 
 class Objects:
@@ -137,34 +138,48 @@ class Objects:
         there = [item for item in self._there.values() if not item.removed]
         return sorted(there, key=lambda item: -(item.asked or item.created))
 
-    def begin(self) -> Object:
-        key = secrets.token_urlsafe(18)
-        item = Object(key, self.place / key, created=time.time())
-        try:
-            item.inbox.mkdir(parents=True)
-            item.pictures.mkdir()
-        except OSError as error:
-            raise InputError(f"cannot be stored: {error.strerror}") from None
-        item.save()
-        self._there[key] = item
+    def begin(
+        self, name: str = "object", photographs: Mapping[str, bytes] | None = None
+    ) -> Object:
+        """A new object: all of it is stored, or nothing."""
+        with self._new() as item:
+            item.name = name
+            for file, data in (photographs or {}).items():
+                write_whole(item.inbox / file, data, sync=False)
+                item.photographs.append(Photograph(file, file, len(data)))
         return item
 
     def again(self, earlier: Object) -> Object:
         """A new object with an earlier one's photographs, mask and options."""
-        item = self.begin()
-        for part in (earlier.inbox, earlier.pictures):
-            shutil.copytree(
-                part, item.folder / part.name, copy_function=_link, dirs_exist_ok=True
-            )
-        if earlier.drawn.exists():
-            shutil.copyfile(earlier.drawn, item.drawn)
-        kept = "name photographs mask found version found_version problem options"
-        for name in kept.split():
-            setattr(item, name, getattr(earlier, name))
-        item.photographs = [dataclasses.replace(p) for p in earlier.photographs]
-        item.options = {**earlier.options}
-        item.save()
+        kept = "name mask found version found_version problem".split()
+        with self._new() as item:
+            for part in (earlier.inbox, earlier.pictures):
+                shutil.copytree(
+                    part,
+                    item.folder / part.name,
+                    copy_function=link_or_copy,
+                    dirs_exist_ok=True,
+                )
+            if earlier.drawn.exists():
+                write_whole(item.drawn, earlier.drawn.read_bytes(), sync=False)
+            for name in kept:
+                setattr(item, name, getattr(earlier, name))
+            item.photographs = [dataclasses.replace(p) for p in earlier.photographs]
+            item.options = {**earlier.options}
         return item
+
+    @contextlib.contextmanager
+    def _new(self) -> Iterator[Object]:
+        """An object that is listed, and in its place, when the block is through."""
+        key = secrets.token_urlsafe(18)
+        with appearing_at_once(self.place / key, record=_FILE) as folder:
+            item = Object(key, folder, created=time.time())
+            item.inbox.mkdir()
+            item.pictures.mkdir()
+            yield item
+            item.save()
+        item.folder = self.place / key
+        self._there[key] = item
 
     def target_for(self, name: str) -> Path:
         """A new folder of results, NAME-DATE."""
@@ -249,7 +264,7 @@ def unused(name: str, taken: set[str]) -> str:
 def _read(folder: Path) -> Object | None:
     """An object that was saved; None where none was, or it is damaged."""
     try:
-        record = json.loads((folder / "object.json").read_bytes())
+        record = json.loads((folder / _FILE).read_bytes())
         photographs = [Photograph(**entry) for entry in record.pop("photographs")]
         item = Object(folder=folder, photographs=photographs, **record)
     except (OSError, ValueError, TypeError, KeyError):
@@ -259,13 +274,5 @@ def _read(folder: Path) -> Object | None:
 
 def _touched(item: Object) -> float:
     with contextlib.suppress(OSError):
-        return (item.folder / "object.json").stat().st_mtime
+        return (item.folder / _FILE).stat().st_mtime
     return item.created
-
-
-def _link(source: str, target: str) -> None:
-    """Another name of the same file; a copy where there are no links."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)

@@ -25,6 +25,7 @@ from unips_jax.errors import InputError
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.io.claims import make_folder
 from unips_jax.io.door import write_whole
+from unips_jax.io.results import filling
 from unips_jax.models.config_json import to_json
 from unips_jax.models.network import UniversalNetwork
 from unips_jax.weights import SHIPPED, load_weights, save_weights, weights_hash
@@ -90,17 +91,18 @@ class NnxNetwork(nnx.Module):
         text = {"library_name": "unips_jax", "kind": kind}
         text["config"] = json.loads(to_json(network.config))
         data = json.dumps(text, indent=1, sort_keys=True) + "\n"
-        write_whole(folder / CONFIG, data.encode())
-        save_weights(folder / WEIGHTS, network, record=record)
-        if not (folder / CARD).exists():
-            count = sum(leaf.size for leaf in jax.tree.leaves(network.params)) / 1e6
-            card = _CARD.format(
-                license=license,
-                name=folder.resolve().name,
-                count=count,
-                digest=weights_hash(network)[:8],
-            )
-            write_whole(folder / CARD, card.encode())
+        with filling(folder) as new:
+            write_whole(new / CONFIG, data.encode())
+            save_weights(new / WEIGHTS, network, record=record)
+            if not (folder / CARD).exists():
+                count = sum(leaf.size for leaf in jax.tree.leaves(network.params)) / 1e6
+                card = _CARD.format(
+                    license=license,
+                    name=folder.resolve().name,
+                    count=count,
+                    digest=weights_hash(network)[:8],
+                )
+                write_whole(new / CARD, card.encode())
 
     @classmethod
     def from_pretrained(cls, source: str | os.PathLike[str]) -> Self:

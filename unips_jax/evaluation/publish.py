@@ -22,8 +22,12 @@ from unips_jax.evaluation.tables import figures_csv, files_of
 from unips_jax.io.claims import slug
 from unips_jax.io.door import write_whole
 from unips_jax.io.images import encode_image
+from unips_jax.io.results import appearing_at_once, filling
 from unips_jax.provenance import code_hash
 from unips_jax.version import __version__
+
+# What `write_inputs` writes.
+_INPUTS = ("L_*.png", "mask.png", "light_directions.txt", "light_intensities.txt")
 
 
 def write_tables(store: Store, tables: Sequence[Table]) -> Path:
@@ -31,8 +35,9 @@ def write_tables(store: Store, tables: Sequence[Table]) -> Path:
     folder = store.root / "tables"
     with store.claim("publish", wait=True):
         files = files_of(tables)
-        for name, data in files.items():
-            write_whole(folder / name, data)
+        with filling(folder) as new:
+            for name, data in files.items():
+                write_whole(new / name, data)
         for name in {f"{table}.csv" for table in TABLES} - set(files):
             (folder / name).unlink(missing_ok=True)
     return folder
@@ -124,13 +129,12 @@ def write_inputs(plan: Plan, folder: Path) -> Iterator[Path]:
             case = show(item, plan.protocol, chosen, crop_focal_ratio=ratio)
             place = folder if subset.alone else folder / subset.folder
             place /= f"{entry.name.replace('/', '_')}.data"
-            _write_observed(place, case.observed)
+            with appearing_at_once(place, ours=_INPUTS) as new:
+                _write_observed(new, case.observed)
         yield place
 
 
 def _write_observed(place: Path, observed: Observed) -> None:
-    for stale in place.glob("L_*.png"):  # of a command that showed more images
-        stale.unlink()
     top = max(1.0, float(observed.images.max()))
     for i, image in enumerate(observed.images):
         pixels = np.rint(np.clip(image / top, 0, 1) * 65535).astype(np.uint16)
@@ -149,21 +153,17 @@ def write_submissions(store: Store, results: Results) -> Path:
     Files of objects that these results have no more are removed.
     """
     folder = store.root / "submission"
+    main = (results.main_count, results.seeds[0])
     with store.claim("publish", wait=True):
-        written: dict[Path, set[str]] = {}
-        main = (results.main_count, results.seeds[0])
-        for result in (
-            r for label in results.labels for r in results.each(label, *main)
-        ):
-            names = written.setdefault(folder / slug(result.label), set())
-            if not result.unsupported:
-                names.add(f"{result.entry}.mat")
-                data = submission_bytes(store.normals(result.name))
-                write_whole(folder / slug(result.label) / f"{result.entry}.mat", data)
-        for target, names in written.items():
-            for file in target.glob("*.mat"):
-                if file.name not in names:
-                    file.unlink()
+        for label in results.labels:
+            own = [*results.each(label, *main)]
+            if not own:
+                continue
+            with appearing_at_once(folder / slug(label), ours=["*.mat"]) as new:
+                for result in own:
+                    if not result.unsupported:
+                        data = submission_bytes(store.normals(result.name))
+                        write_whole(new / f"{result.entry}.mat", data)
     return folder
 
 

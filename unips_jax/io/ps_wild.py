@@ -16,8 +16,6 @@ Plain NumPy.
 import glob
 import json
 import math
-import shutil
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,9 +25,10 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
-from unips_jax.io.door import move, write_json, writing
+from unips_jax.io.door import write_json
 from unips_jax.io.images import read_image, write_exr, write_image
 from unips_jax.io.normals import encode_normals, has_unit_length, read_normals
+from unips_jax.io.results import appearing_at_once
 from unips_jax.io.selection import is_photograph
 
 META, NORMALS, MASK = "meta.json", "normal.tif", "mask.png"
@@ -116,28 +115,17 @@ def write_folder(
 ) -> None:
     """Writes one object; the folder `X.data` appears only when it is complete.
 
-    The caller has claimed it: what a killed process left of it is removed. Images are
-    `[H, W, 3]` each, linear, 1 becomes 65535; `facts` are for `meta.json`; `maps` of
-    the material in [0, 1] are kept as 16-bit TIFF under their names, depth as
+    Images are `[H, W, 3]` each, linear, 1 becomes 65535; `facts` are for `meta.json`;
+    `maps` of the material in [0, 1] are kept as 16-bit TIFF under their names, depth as
     `depth.exr`.
     """
-    with writing(folder):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        for leftover in folder.parent.glob(f".{folder.name}.*"):
-            shutil.rmtree(leftover)
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
-            _write_files(partial, images, mask, normals, name)
-            for title, values in (maps or {}).items():
-                write_image(partial / f"{title}.tif", encode_linear(values))
-            if depth is not None:
-                write_exr(partial / "depth.exr", {"Z": np.where(mask, depth, 0)})
-            write_json(partial / META, dict(facts), indent=1)
-            partial.chmod(0o755)
-            move(partial, folder)
-        except BaseException:
-            shutil.rmtree(partial, ignore_errors=True)
-            raise
+    with appearing_at_once(folder, record=META) as place:
+        _write_files(place, images, mask, normals, name)
+        for title, values in (maps or {}).items():
+            write_image(place / f"{title}.tif", encode_linear(values))
+        if depth is not None:
+            write_exr(place / "depth.exr", {"Z": np.where(mask, depth, 0)})
+        write_json(place / META, dict(facts), indent=1)
 
 
 def _write_files(

@@ -12,13 +12,14 @@ import os
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
-from unips_jax.io.door import NotWritten, reason_why, write_json
+from unips_jax.io.door import NotWritten, move, write_json, writing
 from unips_jax.io.record_schema import file_of, load_record
 
 RECORD = "normals.json"
@@ -106,14 +107,17 @@ def clear_leftovers(parent: Path) -> None:
 
 
 @contextlib.contextmanager
-def appearing_at_once(target: Path, *, record: str = RECORD) -> Iterator[Path]:
+def appearing_at_once(
+    target: Path, *, record: str = RECORD, ours: Sequence[str] = ()
+) -> Iterator[Path]:
     """Gives a temporary folder that becomes `target` when all is written.
 
     An earlier folder of results is set aside and the new one put in its place, by two
-    renames. Files in it that are not listed by its `record` are kept. If anything
-    fails, the target stays as it was. A process that is killed before the first rename
-    leaves the earlier results, after the second the new ones; between them, none, until
-    `clear_leftovers` brings the earlier ones back.
+    renames. Files in it that are not listed by its `record` are kept, unless their name
+    fits a pattern of `ours`. If anything fails, the target stays as it was, and the
+    error is `NotWritten` where the file system refused. A process that is killed before
+    the first rename leaves the earlier results, after the second the new ones; between
+    them, none, until `clear_leftovers` brings the earlier ones back.
     """
     place = Path(os.path.realpath(target))
     try:
@@ -124,13 +128,26 @@ def appearing_at_once(target: Path, *, record: str = RECORD) -> Iterator[Path]:
             new.mkdir()
             yield new
             if place.is_dir():
-                _carry_over(place, new, record)
+                _carry_over(place, new, record, ours)
             _switch(place, new, work)
     except (OSError, NotWritten) as error:
-        raise InputError(
-            f"{target}: cannot be written: {reason_why(error)}; free space there, or "
-            "choose another -o"
-        ) from None
+        raise NotWritten(target, error) from None
+
+
+@contextlib.contextmanager
+def filling(folder: Path) -> Iterator[Path]:
+    """Gives a temporary folder whose files move into `folder` when all are written.
+
+    Files of the same names are replaced, others stay. If writing fails, all stays as it
+    was.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        clear_leftovers(folder)
+        with workspace(folder) as work:
+            yield work
+            for file in sorted(work.iterdir()):
+                move(file, folder / file.name)
 
 
 def _check_target(target: Path, source: Path, record: str) -> None:
@@ -185,25 +202,35 @@ def workspace(parent: Path) -> Iterator[Path]:
             _dissolve(lock)
 
 
-def _carry_over(place: Path, new: Path, record: str) -> None:
+def _carry_over(place: Path, new: Path, record: str, patterns: Sequence[str]) -> None:
     """Takes the user's files along, as further names of the same files."""
     ours = {*_RESULTS, record} | {file.name for file in new.iterdir()}
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         ours |= set(json.loads((place / record).read_bytes())["files"])
 
     def left(folder: str, names: list[str]) -> set[str]:
-        return ours & set(names) if Path(folder) == place else set()
+        if Path(folder) != place:
+            return set()
+        fitting = {n for n in names if any(fnmatch(n, each) for each in patterns)}
+        return ours & set(names) | fitting
 
     shutil.copytree(
-        place, new, symlinks=True, ignore=left, copy_function=_link, dirs_exist_ok=True
+        place,
+        new,
+        symlinks=True,
+        ignore=left,
+        copy_function=link_or_copy,
+        dirs_exist_ok=True,
     )
 
 
-def _link(source: str, target: str) -> None:
+def link_or_copy(source: str, target: str) -> None:
+    """Gives a file another name; a copy where there are no links."""
     try:
         os.link(source, target, follow_symlinks=False)
     except OSError:  # not every file system has links
-        shutil.copy2(source, target, follow_symlinks=False)
+        with writing(Path(target)):  # else `copytree` collects what failed
+            shutil.copy2(source, target, follow_symlinks=False)
 
 
 def _switch(place: Path, new: Path, work: Path) -> None:
