@@ -113,11 +113,18 @@ def write_folder(
     depth: np.ndarray | None = None,
     name: str = "L_{:02d}.png",
 ) -> None:
-    """Writes one object; the folder `X.data` appears only when it is complete.
+    """Writes one object; the folder appears only when it is complete.
 
-    Images are `[H, W, 3]` each, linear, 1 becomes 65535; `facts` are for `meta.json`;
-    `maps` of the material in [0, 1] are kept as 16-bit TIFF under their names, depth as
-    `depth.exr`.
+    Args:
+        folder: `X.data`.
+        images: `[H, W, 3]` each, linear, 1 becomes 65535.
+        mask: `[H, W]` bool.
+        normals: `[H, W, 3]`, unit inside the mask.
+        facts: for `meta.json`.
+        maps: of the material in [0, 1], `[H, W]` or `[H, W, 3]`, kept as 16-bit TIFF
+            under their names.
+        depth: `[H, W]`, kept as `depth.exr`; 0 outside the mask.
+        name: of the images' files, by number.
     """
     with appearing_at_once(folder, record=META) as place:
         _write_files(place, images, mask, normals, name)
