@@ -143,11 +143,69 @@ def test_what_are_no_normals_is_refused_in_one_line(
     made = tmp_path / "mine"
     made.mkdir()
     np.save(made / "cup.npy", change(truth(0)))
-    assert run(objects, tmp_path / "work", "-m", f"files:{made}") == 2
+    request = f"files:{made},values=stored"
+    assert run(objects, tmp_path / "work", "-m", request) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert not (tmp_path / "work").exists()  # before any work
     assert re.search(message, error)
+
+
+MENDED = {
+    "(n + 1) / 2 of that": lambda n: n / 2 + 0.5,
+    "between 0 and 255": lambda n: np.rint(127.5 * (n + 1)),
+    "the array holds uint8": lambda n: np.rint(127.5 * (n + 1)).astype(np.uint8),
+    "as a display's values": lambda n: srgb_encode(n / 2 + 0.5),
+    "the blue channel is constant": lambda n: n * np.float32([1, 1, 0]),
+}
+
+
+@pytest.mark.parametrize("line", MENDED)
+@pytest.mark.parametrize("background", [0, 1])
+def test_values_that_certainly_stand_for_others_are_mended(
+    tmp_path, capsys, line, background
+):
+    root = data.make_folder(tmp_path / "bench", size=60)
+    made = tmp_path / "mine"
+    made.mkdir()
+    for i, name in enumerate(("cup", "shoe")):
+        mask, normals = data.sphere(60, 60 + i)
+        values = MENDED[line](normals.astype(np.float32))
+        values[~mask] = background  # whatever is there does not matter
+        np.save(made / f"{name}.npy", values[..., ::-1])
+    request = f"files:{made},channels=bgr"
+    assert run(root, tmp_path / "work", "-m", request) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count(line) == 1 and "(cup.npy and 1 more)" in said
+    assert "files:DIR,values=stored" in said or "the array holds" in said
+    assert errors_of(tmp_path / "work")["mine"] < 0.6
+    if "blue" not in line:  # which are of unit length to the format
+        assert run(root, tmp_path / "b", "-m", f"{request},values=stored") == 2
+        assert "expected unit vectors" in capsys.readouterr().err
+
+
+def test_honest_normals_are_taken_as_they_are(tmp_path):
+    mask, true = data.sphere(60, 60)
+    rng = np.random.default_rng(0)
+    noise = np.where(mask[..., None], rng.normal(size=true.shape), 0)
+    lit = np.abs(noise) + [0, 0, 0.1]  # all positive: (n + 1) / 2 would be so too
+    flat = np.broadcast_to([0, 0, 1.0], true.shape)
+    read = from_files(f"files:{tmp_path}").files.read
+    for normals in (true, -true, flat, noise, lit, true + 0.3 * noise):
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        normals = (normals / np.where(length > 0, length, 1)).astype(np.float32)
+        np.save(tmp_path / "a.npy", normals)
+        savemat(tmp_path / "a.mat", {"n": normals})
+        write_exr(tmp_path / "a.exr", {"RGB": normals})
+        for dtype in (np.uint8, np.uint16):
+            top = np.iinfo(dtype).max
+            pixels = np.rint((normals + 1) / 2 * top).astype(dtype)
+            data.write_image(tmp_path / f"{np.dtype(dtype)}.png", pixels)
+        for name in ("a.npy", "a.mat", "a.exr", "uint8.png", "uint16.png"):
+            lines = []
+            found = read(tmp_path / name, [mask], lines)
+            np.testing.assert_array_equal(found, read_any(tmp_path / name))
+            assert lines == []
 
 
 @pytest.mark.parametrize(
@@ -308,3 +366,6 @@ def test_where_the_truth_is_withheld_slopes_tell(tmp_path, capsys, sign, warned)
     request = ["-m", f"files:{tmp_path / 'mine'}"]
     assert evaluation.main([*named, *chosen, *request]) == 0
     assert ("an axis seems to be the other way" in capsys.readouterr().err) == warned
+    np.save(tmp_path / "mine" / "cat.npy", (normals * [1, 1, -1]).astype(np.float32))
+    assert evaluation.main([*named, *chosen, *request]) == 0
+    assert "mine: z points away from the viewer (cat.npy)" in capsys.readouterr().err

@@ -9,7 +9,9 @@ holds a folder for each, named as in `OUT/inputs`: `8-seed-0`, `all`.
 They are `.npy` or `.mat` arrays `[H, W, 3]`, float EXR or TIFF images, all holding n,
 or PNG or TIFF images of integers holding (n + 1) / 2: x right, y up, z towards the
 viewer, unit length. `x=left`, `y=down`, `z=away` and `channels=bgr` state what is
-otherwise. Their size is that of the photographs, or what the protocol showed.
+otherwise. Their size is that of the photographs, or what the protocol showed. What
+their values stand for is examined on the object, and mended where it is certain
+(`io.normal_values`); `values=stored` leaves them as they are.
 """
 
 import dataclasses
@@ -32,7 +34,9 @@ from unips_jax.evaluation.variants import (
     take_oracle,
 )
 from unips_jax.io.color import as_linear
-from unips_jax.io.normals import read_normals, read_numbers
+from unips_jax.io.images import read_image_file
+from unips_jax.io.normal_values import OVERRULE, decode_values
+from unips_jax.io.normals import decode_normals, read_numbers, require_normal_map
 from unips_jax.provenance import code_hash
 
 # Those that lose least come first.
@@ -65,6 +69,7 @@ class NormalFiles:
     order: tuple[int, int, int] = (0, 1, 2)  # of the channels
     # where an object's file is in the folder, with `{object}`; empty: see the module
     file: str = ""
+    as_stored: bool = False  # whether values are believed
 
     def find(self, name: str, subset: Subset) -> Path | None:
         """An object's file; None where there is none. Several are an `InputError`."""
@@ -86,32 +91,46 @@ class NormalFiles:
         path = self.find(name, subset)
         return "" if path is None else bytes_hash(files.read_bytes(path))
 
-    def read(self, path: Path, masks: list[np.ndarray]) -> np.ndarray:
-        """Unit normals `[H, W, 3]` of a file, in our convention, of the masks' size."""
-        normals = self._in_our_convention(path)
-        fitting = [mask for mask in masks if mask.shape == normals.shape[:2]]
+    def read(
+        self, path: Path, masks: list[np.ndarray], mended: list[str] | None = None
+    ) -> np.ndarray:
+        """Unit normals `[H, W, 3]` of a file, in our convention, of the masks' size.
+
+        `mended` receives a line for each departure from what the format means.
+        """
+        values = _stored(path)[..., list(self.order)]
+        fitting = [mask for mask in masks if mask.shape == values.shape[:2]]
         if not fitting:
             sizes = dict.fromkeys(f"{m.shape[1]} x {m.shape[0]}" for m in masks)
             raise InputError(
                 f"{path}: expected normals of {' or '.join(sizes)} pixels, got "
-                f"{normals.shape[1]} x {normals.shape[0]}"
+                f"{values.shape[1]} x {values.shape[0]}"
             )
+        normals = _plain(values, path)
+        if not self.as_stored:
+            normals, lines = _examined(values, normals, fitting[0])
+            if mended is not None:
+                mended += lines
         _check_lengths(path, normals[fitting[0]])
-        return normals
-
-    def _in_our_convention(self, path: Path) -> np.ndarray:
-        return read_any(path)[..., list(self.order)] * np.array(self.signs, np.float32)
+        return normals * np.array(self.signs, np.float32)
 
     def method(
-        self, name: str, subset: Subset, crop: Callable[[np.ndarray], np.ndarray]
+        self,
+        name: str,
+        subset: Subset,
+        mask: np.ndarray,
+        crop: Callable[[np.ndarray], np.ndarray],
     ) -> Callable[[Observed], np.ndarray]:
-        """One object's normals as a method; `crop` brings them to what is shown."""
+        """One object's normals as a method; `crop` brings them to what is shown.
+
+        `mask` is of the photographs' size.
+        """
 
         def method(observed: Observed) -> np.ndarray:
             path = self.find(name, subset)
             if path is None:
                 raise Unsupported(f"files: no normals in {self.folder.name}")
-            normals = self._in_our_convention(path)
+            normals = self.read(path, [mask, observed.mask])
             shown = normals.shape[:2] == observed.mask.shape
             return normals if shown else crop(normals)
 
@@ -149,22 +168,54 @@ def normal_files(
     z: Literal["viewer", "away"] = "viewer",
     channels: Literal["rgb", "bgr"] = "rgb",
     file: str = "",
+    values: Literal["examined", "stored"] = "examined",
 ) -> NormalFiles:
     """A folder of normals: where x, y and z point, the channels' order, and `file`."""
     signs = 1 - 2 * (x == "left"), 1 - 2 * (y == "down"), 1 - 2 * (z == "away")
     order = (2, 1, 0) if channels == "bgr" else (0, 1, 2)
-    return NormalFiles(Path(folder), signs, order, file)
+    return NormalFiles(Path(folder), signs, order, file, values == "stored")
 
 
 def read_any(path: Path) -> np.ndarray:
     """Normals `[H, W, 3]`, float32, as stored, of an array or an image."""
+    return _plain(_stored(path), path)
+
+
+def _stored(path: Path) -> np.ndarray:
+    """The values of an array or an image, `[H, W, 3]`, in their own type."""
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".mat"):
-        return read_normals(path)
-    normals = read_numbers(path) if suffix == ".npy" else files.read_mat_normals(path)
-    if normals.ndim != 3 or normals.shape[2] != 3:
-        raise InputError(f"{path}: expected normals [H, W, 3], got {normals.shape}")
-    return normals.astype(np.float32)
+        file = read_image_file(path, vectors=True)
+        require_normal_map(file)
+        return file.pixels
+    values = read_numbers(path) if suffix == ".npy" else files.read_mat_normals(path)
+    if values.ndim != 3 or values.shape[2] != 3:
+        raise InputError(f"{path}: expected normals [H, W, 3], got {values.shape}")
+    return values
+
+
+def _plain(values: np.ndarray, path: Path) -> np.ndarray:
+    """What values mean by the format: arrays hold n, images of integers (n + 1) / 2."""
+    is_array = path.suffix.lower() in (".npy", ".mat")
+    return values.astype(np.float32) if is_array else decode_normals(values)
+
+
+def _examined(
+    values: np.ndarray, plain: np.ndarray, mask: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    """What values on the object stand for, and a line for each departure from `plain`.
+
+    `plain` itself where there is none.
+    """
+    found: list[str] = []
+    if values.dtype not in (np.uint8, np.uint16):
+        values = values.astype(np.float32)
+    elif plain.max(initial=0) > 1:
+        found.append(f"the array holds {values.dtype}: read as a picture's (n + 1) / 2")
+    there = mask & np.isfinite(values).all(-1)
+    normals = decode_values(values, there, found)
+    option = "files:DIR,values=stored"
+    return normals if found else plain, [x.replace(OVERRULE, option) for x in found]
 
 
 def _refuse(observed: Observed) -> NoReturn:

@@ -6,6 +6,7 @@ it, so a result of anything else is never taken for it.
 """
 
 import dataclasses
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from unips_jax.evaluation.protocols import Protocol, choose_images, shown_mask
 from unips_jax.evaluation.store import result_key
 from unips_jax.evaluation.variants import Variant
 from unips_jax.io.claims import slug
+from unips_jax.io.record import print_line
 from unips_jax.provenance import code_hash
 from unips_jax.version import __version__
 
@@ -114,16 +116,31 @@ def check_normal_files(plan: Plan) -> None:
         if variant.files is None:
             continue
         found = False
+        mended: dict[str, list[str]] = {}
+        away = []
         for index, entry in enumerate(plan.benchmark.entries):
             subsets = [subset for subset, _ in subsets_of(plan, index)]
             paths = [variant.files.find(entry.name, subset) for subset in subsets]
             if not any(paths):
                 continue
-            mask = plan.benchmark.truth(entry).mask
-            masks = [mask, shown_mask(mask, plan.protocol)]
+            truth = plan.benchmark.truth(entry)
+            masks = [truth.mask, shown_mask(truth.mask, plan.protocol)]
             for path in filter(None, paths):
-                variant.files.read(path, masks)
+                lines: list[str] = []
+                normals = variant.files.read(path, masks, lines)
                 found = True
+                for line in lines:
+                    mended.setdefault(line, []).append(path.name)
+                if truth.normals is None and _faces_away(normals):
+                    away.append(path.name)
+        for line, names in mended.items():
+            print_line("normals", f"{variant.label}: {line} ({_counted(names)})")
+        if away:  # elsewhere the score shows it
+            print(
+                f"warning: {variant.label}: z points away from the viewer "
+                f"({_counted(away)}); files:DIR,z=away says so",
+                file=sys.stderr,
+            )
         if not found:
             first = plan.benchmark.entries[0].name
             folder = "" if subsets[0].alone else f"{subsets[0].folder}/"
@@ -132,3 +149,12 @@ def check_normal_files(plan: Plan) -> None:
                 f"method {variant.label!r}: expected normals such as {wanted} in "
                 f"{variant.files.folder}, found none for any object"
             )
+
+
+def _faces_away(normals: np.ndarray) -> bool:
+    known = normals.any(-1)
+    return bool(known.any()) and float((normals[..., 2][known] < 0).mean()) > 0.95
+
+
+def _counted(names: Sequence[str]) -> str:
+    return f"{names[0]} and {len(names) - 1} more" if names[1:] else names[0]

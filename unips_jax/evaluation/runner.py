@@ -126,7 +126,7 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
             return shown_normals(normals, item.mask, plan.protocol)
 
         variant = variant._replace(
-            run=variant.files.method(item.name, task.subset, crop)
+            run=variant.files.method(item.name, task.subset, item.mask, crop)
         )
     try:
         normals, measures = estimate(variant, case)

@@ -108,12 +108,17 @@ def read_numbers(path: Path) -> np.ndarray:
 
 def normals_of(file: ImageFile) -> np.ndarray:
     """What a normal map's image holds; see `read_normals`."""
+    require_normal_map(file)
+    return decode_normals(file.pixels)
+
+
+def require_normal_map(file: ImageFile) -> None:
+    """Refuses images of other than three channels, or of values that are not finite."""
     if file.pixels.shape[2] != 3:
         raise InputError(
             f"{file.path}: expected a normal map of 3 channels, got {file.channels}"
         )
     require_finite(file.path, file.pixels)
-    return decode_normals(file.pixels)
 
 
 def has_unit_length(normals: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
