@@ -6,7 +6,7 @@ rules of thumb; a warning never stops anything.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -52,28 +52,21 @@ def look_at_values(
     ]
 
 
-def _count_findings(count: int, inside: int) -> list[Finding]:
-    found = []
+def _count_findings(count: int, inside: int) -> Iterator[Finding]:
     if count < _FEW_IMAGES:
-        found.append(
-            Finding(
-                "few photographs",
-                f"too few photographs: {count}; take 8 or more, each under another "
-                "light (4 still give a rough shape)",
-            )
+        yield Finding(
+            "few photographs",
+            f"too few photographs: {count}; take 8 or more, each under another "
+            "light (4 still give a rough shape)",
         )
     if inside < _SMALL_MASK:
-        found.append(
-            Finding(
-                "tiny mask",
-                f"tiny mask: {inside} pixels are inside; the object should fill the "
-                "frame",
-            )
+        yield Finding(
+            "tiny mask",
+            f"tiny mask: {inside} pixels are inside; the object should fill the frame",
         )
-    return found
 
 
-def _mask_findings(mask: np.ndarray, images: np.ndarray) -> list[Finding]:
+def _mask_findings(mask: np.ndarray, images: np.ndarray) -> Iterator[Finding]:
     """Parts of the mask that are hardly meant: specks, islands, pinholes."""
     rows, columns = mask_box(mask)
     images, mask = images[:, rows, columns], mask[rows, columns]
@@ -81,35 +74,27 @@ def _mask_findings(mask: np.ndarray, images: np.ndarray) -> list[Finding]:
     areas = np.sort(stats[1:, cv2.CC_STAT_AREA])[::-1]
     specks = areas[areas < _ISLAND_SHARE * areas[0]]
     islands = areas[: len(areas) - len(specks)]
-    found = []
     if specks.sum() >= _SPECKS:
-        found.append(
-            Finding(
-                "specks in the mask",
-                f"specks in the mask: {len(specks)} of together {specks.sum()} pixels "
-                "lie apart from the object; they get normals too: erase them",
-            )
+        yield Finding(
+            "specks in the mask",
+            f"specks in the mask: {len(specks)} of together {specks.sum()} pixels "
+            "lie apart from the object; they get normals too: erase them",
         )
     if len(islands) > 1:
         shares = [f"{area / areas.sum():.0%}" for area in islands]
-        found.append(
-            Finding(
-                "mask in parts",
-                f"mask in {len(islands)} parts ({some(shares)}): one object is "
-                "expected; join the parts, or estimate each with a mask of its own",
-            )
+        yield Finding(
+            "mask in parts",
+            f"mask in {len(islands)} parts ({some(shares)}): one object is "
+            "expected; join the parts, or estimate each with a mask of its own",
         )
     holes = filled_holes(mask, images)[1]
     if len(holes):
-        found.append(
-            Finding(
-                "holes in the mask",
-                f"small holes in the mask: {len(holes)} of together {holes.sum()} "
-                "pixels; they get no normals: fill them, unless the object has holes "
-                "there",
-            )
+        yield Finding(
+            "holes in the mask",
+            f"small holes in the mask: {len(holes)} of together {holes.sum()} "
+            "pixels; they get no normals: fill them, unless the object has holes "
+            "there",
         )
-    return found
 
 
 def small_holes(mask: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import statistics
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -134,8 +134,7 @@ def _soft_parts(
     return np.exp(np.quantile(ratios - usual, 0.75, axis=1))
 
 
-def _look_at_cameras(capture: Capture, names: Sequence[str]) -> list[Finding]:
-    found = []
+def _look_at_cameras(capture: Capture, names: Sequence[str]) -> Iterator[Finding]:
     cameras = Counter(camera for camera in capture.cameras if camera)
     if len(cameras) > 1:
         usual = cameras.most_common(1)[0][0]
@@ -144,13 +143,11 @@ def _look_at_cameras(capture: Capture, names: Sequence[str]) -> list[Finding]:
             for name, camera in zip(names, capture.cameras, strict=True)
             if camera and camera != usual
         )
-        found.append(
-            Finding(
-                "mixed cameras",
-                f"mixed cameras: {' and '.join(sorted(cameras))} ({some(others)}): "
-                "photographs of one object must be taken by one camera",
-                others,
-            )
+        yield Finding(
+            "mixed cameras",
+            f"mixed cameras: {' and '.join(sorted(cameras))} ({some(others)}): "
+            "photographs of one object must be taken by one camera",
+            others,
         )
     known = [exposure for exposure in capture.exposures if exposure]
     if known and max(known) > _EXPOSURES * min(known):
@@ -160,11 +157,10 @@ def _look_at_cameras(capture: Capture, names: Sequence[str]) -> list[Finding]:
             for name, exposure in zip(names, capture.exposures, strict=True)
             if exposure and not 1 / _EXPOSURES < exposure / typical < _EXPOSURES
         }
-        found += by_file(
+        yield from by_file(
             "exposure changes",
             ratios,
             "x{:.2g}",
             "exposure changes: {} of the usual, by EXIF data; set time, aperture and "
             "ISO by hand, or dark photographs are noisy and bright ones saturated",
         )
-    return found
