@@ -1,6 +1,7 @@
 """Fixtures that several test files share."""
 
 import contextlib
+import gc
 import os
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 FLAGS = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
 if version("jaxlib").startswith("0.10."):  # others may stop at a flag they do not know
     FLAGS += " --xla_cpu_use_fusion_emitters=false"  # a third of the time without
+    FLAGS += " --xla_cpu_parallel_codegen_split_count=1"  # an eighth: cores are busy
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 # GPUs would multiply float32 with 10 bits of mantissa, the golden arrays did not.
 os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
@@ -24,6 +26,11 @@ def pytest_configure(config: pytest.Config) -> None:
             "JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax"))
         )
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
+def pytest_collection_finish() -> None:
+    """Tracing makes many objects: a sixth of its time were searches for garbage."""
+    gc.set_threshold(50_000, 20, 100)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

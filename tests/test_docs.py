@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from small_networks import SHALLOW_OURS, lively_network
 
 import unips_jax
 import unips_jax.training
@@ -33,12 +34,22 @@ BLOCKS = [
 ]
 
 
+@pytest.fixture(params=["small", pytest.param("shipped", marks=pytest.mark.slow)])
+def weights(request, monkeypatch):
+    """Those that ship take a minute to compile and run; a small network runs it all."""
+    if request.param == "small":
+        network = lively_network(SHALLOW_OURS)
+        shipped = {"tiny": network}
+        monkeypatch.setattr(unips_jax, "load_weights", shipped.__getitem__)
+    return request.param
+
+
 def test_readme_shows_python():
     assert any("README" in block.id for block in BLOCKS)
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_python_runs_as_pasted(block, tmp_path, monkeypatch):
+def test_python_runs_as_pasted(block, weights, tmp_path, monkeypatch):
     """In a folder with photographs, as the documentation assumes."""
     (tmp_path / "photographs").mkdir()
     for name in ("L_00.png", "L_01.png", "mask.png"):
@@ -90,7 +101,7 @@ def test_links_lead_somewhere(page):
         assert not anchor or anchor in anchors(target.read_text()), link
 
 
-def test_the_tutorial_runs(tmp_path, monkeypatch):
+def test_the_tutorial_runs(weights, tmp_path, monkeypatch):
     """Its cells in order, in one process; what it shows is in the file."""
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
@@ -102,7 +113,7 @@ def test_the_tutorial_runs(tmp_path, monkeypatch):
             exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
             assert cell["outputs"] or "=" in "".join(cell["source"]), cell["id"]
     matplotlib.pyplot.close("all")
-    assert names["error"][names["mask"]].mean() < 6
+    assert names["error"][names["mask"]].mean() < (6 if weights == "shipped" else 90)
     assert names["errors"][-1] < 0.5 * names["errors"][0]
     assert abs(names["gradient"]).max() > 0
 

@@ -1,6 +1,8 @@
 """Training runs for several test files: a small one, in this process or another."""
 
+import contextlib
 import dataclasses
+import io
 import json
 import os
 import subprocess
@@ -13,6 +15,7 @@ import numpy as np
 from small_networks import SMALL
 
 from unips_jax.training.config import Config, DataConfig, OptimConfig, TrainConfig
+from unips_jax.training.loop import train
 
 DATA = DataConfig(
     source="scenes", image_size=16, batch_size=8, num_images=(3,), num_pixels=40
@@ -83,6 +86,14 @@ def finish(process: subprocess.Popen) -> str:
     _, errors = process.communicate(timeout=600)
     assert process.returncode == 0, errors
     return errors
+
+
+def trained(workdir: Path, config: Config) -> str:
+    """Trains in this process, on one device; what was printed."""
+    printed = io.StringIO()
+    with contextlib.redirect_stderr(printed):
+        train(config, workdir)
+    return printed.getvalue()
 
 
 def write_objects(root: Path) -> str:

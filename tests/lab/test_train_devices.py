@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from training_runs import (
     flip_a_bit,
     largest_file,
     start,
+    trained,
     write_objects,
 )
 
@@ -31,34 +33,49 @@ def single(tmp_path_factory):
     data = dataclasses.replace(DATA, source="folders", root=root)
     steps = dataclasses.replace(CONFIG.train, steps=5, checkpoint_every=9)
     config = dataclasses.replace(CONFIG, data=data, train=steps)
-    finish(start(workdir, config))
+    trained(workdir, config)
     return config, workdir
 
 
-@pytest.mark.parametrize("fsdp", [4, pytest.param(1, marks=pytest.mark.slow)])
-def test_eight_devices_agree_with_one(single, tmp_path, fsdp):
-    config, whole = single
+@pytest.fixture(scope="module")
+def eight(single, tmp_path_factory):
+    """The same on eight devices that split the parameters, with a checkpoint amid."""
+    workdir = tmp_path_factory.mktemp("eight")
+    finish(start(workdir, altered(single[0], fsdp=4, checkpoint_every=2, keep=9), "8"))
+    return workdir
+
+
+def altered(config, *, fsdp, **train):
     mesh = dataclasses.replace(config.mesh, fsdp=fsdp)
-    finish(start(tmp_path, dataclasses.replace(config, mesh=mesh), "8"))
+    train = dataclasses.replace(config.train, **train)
+    return dataclasses.replace(config, mesh=mesh, train=train)
+
+
+def test_eight_devices_agree_with_one(single, eight):
+    assert_close(final_params(eight), final_params(single[1]))
+
+
+@pytest.mark.slow
+def test_eight_devices_that_split_nothing_agree_with_one(single, tmp_path):
+    config, whole = single
+    finish(start(tmp_path, altered(config, fsdp=1), "8"))
     assert_close(final_params(tmp_path), final_params(whole))
 
 
-def test_a_run_goes_on_with_fewer_devices(single, tmp_path):
+def test_a_run_goes_on_with_fewer_devices(single, eight, tmp_path):
     """On eight that split the parameters, then two, then one."""
     config, whole = single
-    for steps, devices, fsdp in ((2, "8", 4), (4, "2", 2), (5, "1", 1)):
-        train = dataclasses.replace(config.train, steps=steps)
-        mesh = dataclasses.replace(config.mesh, fsdp=fsdp)
-        changed = dataclasses.replace(config, train=train, mesh=mesh)
-        told = finish(start(tmp_path, changed, devices))
-        assert steps == 2 or "going on after step" in told
+    shutil.copytree(eight / "checkpoints" / "2", tmp_path / "checkpoints" / "2")
+    told = finish(start(tmp_path, altered(config, fsdp=2, steps=4), "2"))
+    assert "going on after step 2" in told
+    assert "going on after step 4" in trained(tmp_path, config)
     assert_close(final_params(tmp_path), final_params(whole))
 
 
 def test_two_hosts_begin_and_one_goes_on(single, tmp_path):
     """Each has four devices, and finds the other as SLURM tells it.
 
-    The one has half as many, and takes the batch in two parts.
+    The one has a single device, and takes the batch in two parts.
     """
     config, whole = single
     workdir = tmp_path / "run"
@@ -67,7 +84,7 @@ def test_two_hosts_begin_and_one_goes_on(single, tmp_path):
         assert process.returncode == 0
     assert [path.name for path in (workdir / "checkpoints").iterdir()] == ["3"]
     mesh = dataclasses.replace(config.mesh, microbatches=2)
-    told = finish(start(workdir, dataclasses.replace(config, mesh=mesh), "4"))
+    told = trained(workdir, dataclasses.replace(config, mesh=mesh))
     assert "going on after step 3" in told
     assert_close(final_params(workdir), final_params(whole))
 

@@ -26,19 +26,42 @@ CONFIG = Config(
 )
 
 
-def test_scores_groups_and_pictures(tmp_path, monkeypatch):
-    network = lively_network(CONFIG.model)
-    options = {"count": 3, "num_images": 2, "size": 32}
-    scores = validate(network, SceneConfig(), **options)
-    assert 0 < scores["constant"] < 90
-    for group in ("light", "material", "shape", "camera"):
-        members = [v for k, v in scores.items() if k.startswith(f"{group}/")]
-        assert min(members) - 1e-6 <= scores["mae"] <= max(members) + 1e-6
+def made_up(true, estimate, light, shape, material, focal):
+    mask = np.array([[True] * (len(true) - 1) + [False]])
+    images = np.full((2, *mask.shape, 3), 0.5, np.float32)
+    lights = np.zeros(0)
+    scene = Scene(
+        images=images,
+        mask=mask,
+        normals=tilted(*true),
+        light_kind=np.int32(light),
+        shape_kind=np.int32(shape),
+        material=np.int32(material),
+        focal=np.float32(focal),
+        light_directions=lights,
+        light_intensities=lights,
+        light_means=lights,
+        base_color=np.full((*mask.shape, 3), 0.5, np.float32),
+        roughness=np.full(mask.shape, 0.5, np.float32),
+        metallic=np.zeros(mask.shape, np.float32),
+    )
+    return scene, 3 * tilted(*estimate)
 
-    pictures = validation_pictures(network, CONFIG, count=1)
+
+def test_pictures_and_their_log(tmp_path, monkeypatch):
+    scene, normals = made_up(np.full(32, 20), np.full(32, 30), 0, 2, 5, 0)
+    found = scene, normals / 3
+    monkeypatch.setattr(validation, "estimate_held_out", lambda *_, **__: [found])
+    pictures = validation_pictures(None, CONFIG, count=1)
     picture = pictures["validation/scene0"]
-    assert picture.shape == (32, 4 * 32, 3)
     assert picture.dtype == np.uint8
+    photograph, true, estimate, error = np.split(picture, 4, axis=1)
+    assert photograph.shape == (1, 32, 3)
+    inside = np.s_[0, :31]
+    expected = 127.5 * (1 + tilted(20)[0, 0])
+    assert np.abs(true[inside] - expected).max() < 1.5
+    assert np.abs(estimate[inside] - 127.5 * (1 + tilted(30)[0, 0])).max() < 1.5
+    assert (error[inside] == error[0, 0]).all() and error[0, 0].max() > 0
 
     seen = []
 
@@ -61,31 +84,10 @@ def test_scores_groups_and_pictures(tmp_path, monkeypatch):
 
 def test_scores_by_hand(monkeypatch):
     """Means over each scene's object first, then over scenes."""
-
-    def scene(true, estimate, light, shape, material, focal):
-        mask = np.array([[True] * (len(true) - 1) + [False]])
-        images = lights = np.zeros(0)
-        scene = Scene(
-            images=images,
-            mask=mask,
-            normals=tilted(*true),
-            light_kind=np.int32(light),
-            shape_kind=np.int32(shape),
-            material=np.int32(material),
-            focal=np.float32(focal),
-            light_directions=lights,
-            light_intensities=lights,
-            light_means=lights,
-            base_color=np.full((*mask.shape, 3), 0.5, np.float32),
-            roughness=np.full(mask.shape, 0.5, np.float32),
-            metallic=np.zeros(mask.shape, np.float32),
-        )
-        return scene, 3 * tilted(*estimate)
-
     held_out = [
-        scene((0, 10, 20, 0), (10, 10, 25, 80), 0, 2, 5, 0),  # 10, 0 and 5
-        scene((40, 0), (70, 80), 0, 6, 5, 50),
-        scene((-30, 30, 0), (-10, 10, 80), 4, 2, 0, 50),
+        made_up((0, 10, 20, 0), (10, 10, 25, 80), 0, 2, 5, 0),  # 10, 0 and 5
+        made_up((40, 0), (70, 80), 0, 6, 5, 50),
+        made_up((-30, 30, 0), (-10, 10, 80), 4, 2, 0, 50),
     ]
     monkeypatch.setattr(validation, "estimate_held_out", lambda *_, **__: held_out)
     options = {"count": 3, "num_images": 2, "size": 8}

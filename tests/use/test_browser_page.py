@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from plain_objects import HARD, photographs
-from small_networks import SMALL_OURS, lively_network
+from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax import estimate_photographs, load_weights, read_photographs
 from unips_jax.capture.masks import suggest_mask
@@ -149,7 +149,7 @@ def small(tmp_path_factory):
     """The page with a small network: its folder, and the parameters."""
     work = tmp_path_factory.mktemp("page")
     weights = work / "small.safetensors"
-    save_weights(weights, lively_network(SMALL_OURS), half=True)
+    save_weights(weights, lively_network(SHALLOW_OURS), half=True)
     if build([str(work / "out"), "--weights", str(weights)]) != 0:
         assert "CI" not in os.environ
         pytest.skip("npm cannot fetch the page's packages")

@@ -18,7 +18,13 @@ from unips_jax.training.step import batch_loss
 
 
 def agreement(params):
-    return EncoderDecoder(CONFIG).bind({"params": params}).encoder.consensus
+    @jax.jit
+    def run(contexts, params):
+        return (
+            EncoderDecoder(CONFIG).bind({"params": params}).encoder.consensus(contexts)
+        )
+
+    return functools.partial(run, params=params)
 
 
 def contexts(sets=2, images=3):

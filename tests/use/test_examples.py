@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from plain_objects import hemisphere
-from small_networks import lively_network
+from small_networks import SHALLOW, lively_network
 from training_runs import write_objects
 
 from unips_jax import Materials, angular_error_deg, estimate_normals
@@ -25,7 +25,7 @@ def example(name):
 
 def test_white_balance_is_recovered():
     recover = example("recover_white_balance")["recover_gains"]
-    network = lively_network()
+    network = lively_network(SHALLOW)
     images = jax.random.uniform(jax.random.key(0), (3, 16, 16, 3))
     mask = jnp.ones((16, 16), bool).at[:3].set(False)
     target = estimate_normals(network, images, mask)
@@ -86,7 +86,7 @@ def test_a_set_of_ones_own_is_learnt(tmp_path):
     batch = next(data)
     assert batch["images"].shape == (2, 3, 16, 16, 3)
     _, errors = tools["finetune"](
-        lively_network(),
+        lively_network(SHALLOW),
         data,
         steps=30,
         learning_rate=1e-2,
@@ -100,7 +100,7 @@ def test_it_is_a_layer_of_nnx_and_of_equinox():
     from flax import nnx
 
     tools = example("inside_modules")
-    network = lively_network()
+    network = lively_network(SHALLOW)
     images = jax.random.uniform(jax.random.key(0), (3, 16, 16, 3))
     mask = jnp.ones((16, 16), bool).at[:3].set(False)
     normals = estimate_normals(network, images, mask)
@@ -123,10 +123,10 @@ ON_EIGHT = """
 import runpy, sys
 import jax, numpy as np
 sys.path.insert(0, sys.argv[2])
-from small_networks import SMALL, lively_network
+from small_networks import SHALLOW, lively_network
 from unips_jax import estimate_normals
 tools = runpy.run_path(sys.argv[1])
-network, mesh = lively_network(), tools["all_devices"]()
+network, mesh = lively_network(SHALLOW), tools["all_devices"]()
 images = np.random.default_rng(0).random((8, 2, 16, 16, 3), np.float32)
 masks = np.ones((8, 16, 16), bool)
 masks[:, :3] = False
@@ -153,7 +153,7 @@ def test_eight_devices_share_objects():
 
 
 def test_export_round_trip():
-    network = lively_network()
+    network = lively_network(SHALLOW)
     data = example("export_round_trip")["exported"](network, num_images=4, size=16)
     loaded = jax.export.deserialize(bytearray(data))
     mask = jnp.ones((16, 16), bool).at[:3].set(False)

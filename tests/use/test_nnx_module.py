@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from flax import nnx
 from small_disk import files_below, fill_after
-from small_networks import SHALLOW_OURS, lively_network
+from small_networks import SHALLOW, SHALLOW_OURS, lively_network
 
 from unips_jax import NnxNetwork, estimate_normals, load_weights
 from unips_jax.errors import InputError
@@ -27,7 +27,8 @@ def seen():
     return images, jnp.ones((16, 16), bool).at[:3].set(False)
 
 
-def test_it_gives_the_functions_normals_and_gradients(network, seen):
+def test_it_gives_the_functions_normals_and_gradients(seen):
+    network = lively_network(SHALLOW)
     model = NnxNetwork(network)
     np.testing.assert_allclose(
         nnx.jit(model)(*seen), estimate_normals(network, *seen), atol=1e-6
