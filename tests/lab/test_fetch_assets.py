@@ -26,6 +26,14 @@ def tool():
         return runpy.run_path(str(TOOL))
 
 
+def test_nothing_runs_before_a_hash_is_known(monkeypatch):
+    monkeypatch.syspath_prepend(TOOL.parent)
+    import packages
+
+    assert "--only-binary :all:" in " ".join(packages.PIP)  # no setup.py
+    assert "--ignore-scripts" in packages.NPM
+
+
 def packed(files):
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w:gz") as tar:

@@ -8,6 +8,7 @@ import pytest
 from small_disk import small_disk
 
 from unips_jax.io import door
+from unips_jax.io.results import clear_leftovers
 
 
 def test_lines_are_added_whole_or_not_at_all(tmp_path):
@@ -64,3 +65,23 @@ def test_devices_and_pipes_are_never_replaced(tmp_path):
     with pytest.raises(door.NotWritten, match="a device or a pipe, not a file"):
         door.write_whole(pipe, b"data")
     assert pipe.is_fifo() and list(tmp_path.iterdir()) == [pipe]
+
+
+def test_what_was_killed_long_ago_is_removed(tmp_path):
+    with pytest.raises(ZeroDivisionError), door.new_path(tmp_path / "a.png") as part:
+        name = part.name
+        raise ZeroDivisionError
+    old, new = tmp_path / name, tmp_path / name.replace(".tmp", "9.tmp")
+    theirs = [
+        tmp_path / ".a.tmp",
+        tmp_path / "0123456789ab.1-1.tmp",
+        tmp_path / "a.png",
+    ]
+    for path in (old, new, *theirs):
+        path.write_bytes(b"")
+        if path != new:
+            os.utime(path, (0, 0))
+    clear_leftovers(tmp_path)
+    assert sorted(tmp_path.iterdir()) == sorted([new, *theirs])
+    clear_leftovers(tmp_path / "nowhere")
+    door.clear_parts(tmp_path / "nowhere")

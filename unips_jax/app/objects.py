@@ -21,7 +21,7 @@ from typing import Any
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
-from unips_jax.io.door import write_whole
+from unips_jax.io.door import clear_parts, write_whole
 from unips_jax.io.results import appearing_at_once, link_or_copy
 
 _FILE = "object.json"
@@ -122,6 +122,8 @@ class Objects:
             known = _read(folder)
             if known is not None:
                 self._there[known.id] = known
+                for place in (folder, known.inbox, known.pictures):
+                    clear_parts(place)
 
     def get(self, key: str) -> Object | None:
         """The object of an ID, unless it was removed."""

@@ -25,7 +25,7 @@ import jax.export
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.door import write_whole
+from unips_jax.io.door import clear_parts, write_whole
 from unips_jax.version import __version__
 
 # The most programs that are kept, of half a megabyte each; the oldest go first.
@@ -130,6 +130,7 @@ def _write(place: Path, exported: Any) -> None:
         data = bytes(exported.serialize())
         place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_whole(place, hashlib.sha256(data).digest() + data)
+        clear_parts(place.parent)
         files = place.parent.glob("*.jax")
         for file in sorted(files, key=lambda file: file.stat().st_mtime)[:-_MOST]:
             file.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim, slug
-from unips_jax.io.door import write_whole
+from unips_jax.io.door import clear_parts, write_whole
 from unips_jax.io.images import encode_image
 from unips_jax.io.normals import encode_normals, read_normals
 
@@ -36,6 +36,7 @@ class Store:
         try:
             for name in ("results", ".locks"):
                 (self.root / name).mkdir(parents=True, exist_ok=True)
+                clear_parts(self.root / name)
         except OSError as error:
             raise InputError(
                 f"{self.root}: cannot be the work folder ({error.strerror})"

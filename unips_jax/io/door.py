@@ -14,12 +14,17 @@ import errno
 import hashlib
 import json
 import os
+import re
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from unips_jax.errors import InputError
+
+_PART = re.compile(r"\.[0-9a-f]{12}\.\d+-\d+\.tmp")  # see `new_path`
+_ABANDONED_S = 86_400  # of a file that is being written, the time changes
 
 
 class NotWritten(InputError):
@@ -118,6 +123,18 @@ def move(source: Path, target: Path) -> None:
     """Renames a file or folder of the same file system; a file there is replaced."""
     with writing(target):
         source.replace(target)
+
+
+def clear_parts(folder: Path) -> None:
+    """Removes temporary files that killed processes left here a day ago or earlier."""
+    limit = time.time() - _ABANDONED_S
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if not _PART.match(entry.name):
+                continue
+            with contextlib.suppress(OSError):  # another process was faster
+                if entry.stat(follow_symlinks=False).st_mtime < limit:
+                    os.unlink(entry)
 
 
 def digest(name: str) -> str:

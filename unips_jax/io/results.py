@@ -19,7 +19,7 @@ from typing import Any
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
-from unips_jax.io.door import NotWritten, move, write_json, writing
+from unips_jax.io.door import NotWritten, clear_parts, move, write_json, writing
 from unips_jax.io.record_schema import file_of, load_record
 
 RECORD = "normals.json"
@@ -100,6 +100,7 @@ def clear_leftovers(parent: Path) -> None:
     """Removes what killed processes left; results they had set aside come back."""
     if not parent.is_dir():
         return
+    clear_parts(parent)
     for lock in parent.glob(f"{_WORK}*.lock"):
         with contextlib.suppress(InputError), claim(lock) as nobodys:
             if nobodys:
