@@ -272,8 +272,10 @@ def test_what_a_run_tells(tmp_path, capsys, monkeypatch):
     lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
     (recorded,) = [json.loads(line) for line in lines]
     assert recorded == {
-        **{"step": 9, "loss": (1 + 7 + 8 + 9) / 4},
-        **{"grad_norm": 1, "coarse": pytest.approx(0.12345)},
+        "step": 9,
+        "loss": (1 + 7 + 8 + 9) / 4,
+        "grad_norm": 1,
+        "coarse": pytest.approx(0.12345),
     }
     assert [values["loss"] for values in log.pending()] == [10, 11]
 

@@ -198,15 +198,13 @@ def _unips_variants(unips: UnipsOptions, asked: Mapping[str, Any]) -> Iterator[V
             for uniform in (False, True)[: 1 + unips.uniform_contexts]:
                 options = {"canonical_size": size, "uniform_contexts": uniform}
                 options |= asked
+                key = {"method": "unips", "options": options, "weights": weights}
+                key["method_code"] = code_hash("estimation.streaming")
+                resized = dataclasses.replace(network, config=sized)
                 yield Variant(
                     label + " uniform contexts" * uniform,
-                    {
-                        **{"method": "unips", "options": options, "weights": weights},
-                        "method_code": code_hash("estimation.streaming"),
-                    },
-                    _unips(
-                        dataclasses.replace(network, config=sized), uniform, **asked
-                    ),
+                    key,
+                    _unips(resized, uniform, **asked),
                     f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "
                     f"hash {weights}",
                 )

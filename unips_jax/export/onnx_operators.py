@@ -241,30 +241,27 @@ def _convolution(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value
     return graph.transpose(value, np.argsort(numbers.out_spec).tolist())
 
 
-OPERATORS: dict[str, Callable[..., Any]] = {
-    **{
-        name: _elements(*kinds.split())
-        for name, kinds in {
-            **{"add": "Add", "add_any": "Add", "sub": "Sub", "mul": "Mul"},
-            **{"div": "Div", "max": "Max", "min": "Min", "pow": "Pow"},
-            **{"eq": "Equal", "ne": "Equal Not", "lt": "Less", "le": "LessOrEqual"},
-            **{"gt": "Greater", "ge": "GreaterOrEqual", "and": "And", "or": "Or"},
-            **{"not": "Not", "neg": "Neg", "abs": "Abs", "sign": "Sign"},
-            **{"exp": "Exp", "log": "Log", "sqrt": "Sqrt", "tanh": "Tanh"},
-            **{"rsqrt": "Sqrt Reciprocal", "erf": "Erf", "sin": "Sin", "cos": "Cos"},
-            **{"floor": "Floor", "logistic": "Sigmoid"},
-        }.items()
-    },
-    **dict.fromkeys(("stop_gradient", "copy", "copy_p", "optimization_barrier"), _same),
-    **{"convert_element_type": _convert, "square": _square, "rem": _remainder},
-    **{"integer_pow": _integer_pow, "is_finite": _is_finite, "select_n": _select},
-    **{"clamp": _clamp, "reshape": _reshape, "squeeze": _squeeze, "rev": reverse},
-    **{"expand_dims": _expand_dims, "transpose": _transpose, "slice": cut},
-    **{"broadcast_in_dim": _broadcast_in_dim, "pad": pad, "split": _split},
-    **{"concatenate": _concatenate, "stack": _stack, "iota": _iota},
-    **{"dim_as_value": _dim_as_value, "argmax": _argmax, "gather": gather},
-    **{"reduce_sum": _reduction("ReduceSum"), "reduce_max": _reduction("ReduceMax")},
-    **{"reduce_min": _reduction("ReduceMin"), "reduce_or": _reduction("ReduceMax")},
-    **{"reduce_and": _reduction("ReduceMin"), "dot_general": _dot_general},
-    "conv_general_dilated": _convolution,
-}
+# Primitives on elements, and the operators that make each.
+_ELEMENTS = (
+    "add:Add add_any:Add sub:Sub mul:Mul div:Div max:Max min:Min pow:Pow eq:Equal "
+    "ne:Equal:Not lt:Less le:LessOrEqual gt:Greater ge:GreaterOrEqual and:And or:Or "
+    "not:Not neg:Neg abs:Abs sign:Sign exp:Exp log:Log sqrt:Sqrt tanh:Tanh erf:Erf "
+    "rsqrt:Sqrt:Reciprocal sin:Sin cos:Cos floor:Floor logistic:Sigmoid"
+)
+OPERATORS: dict[str, Callable[..., Any]] = {}
+for _entry in _ELEMENTS.split():
+    _primitive, *_kinds = _entry.split(":")
+    OPERATORS[_primitive] = _elements(*_kinds)
+for _primitive in ("stop_gradient", "copy", "copy_p", "optimization_barrier"):
+    OPERATORS[_primitive] = _same
+OPERATORS |= {"convert_element_type": _convert, "square": _square, "rem": _remainder}
+OPERATORS |= {"integer_pow": _integer_pow, "is_finite": _is_finite, "select_n": _select}
+OPERATORS |= {"clamp": _clamp, "reshape": _reshape, "squeeze": _squeeze, "rev": reverse}
+OPERATORS |= {"expand_dims": _expand_dims, "transpose": _transpose, "slice": cut}
+OPERATORS |= {"broadcast_in_dim": _broadcast_in_dim, "pad": pad, "split": _split}
+OPERATORS |= {"concatenate": _concatenate, "stack": _stack, "iota": _iota}
+OPERATORS |= {"dim_as_value": _dim_as_value, "argmax": _argmax, "gather": gather}
+OPERATORS |= {"reduce_sum": _reduction("ReduceSum"), "dot_general": _dot_general}
+OPERATORS |= dict.fromkeys(("reduce_max", "reduce_or"), _reduction("ReduceMax"))
+OPERATORS |= dict.fromkeys(("reduce_min", "reduce_and"), _reduction("ReduceMin"))
+OPERATORS["conv_general_dilated"] = _convolution

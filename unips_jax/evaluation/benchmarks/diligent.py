@@ -24,11 +24,9 @@ from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distan
 from unips_jax.io.masks import read_mask
 
 _OBJECTS = "ball bear buddha cat cow goblet harvest pot1 pot2 reading".split()
-_MASK_PIXELS = {
-    **{"ball": 15791, "bear": 41512, "buddha": 44864, "cat": 45200, "cow": 26421},
-    **{"goblet": 26193, "harvest": 57342, "pot1": 57721, "pot2": 35278},
-    "reading": 27654,
-}
+# Of each object's published mask.
+_PIXELS = (15791, 41512, 44864, 45200, 26421, 26193, 57342, 57721, 35278, 27654)
+_MASK_PIXELS = dict(zip(_OBJECTS, _PIXELS, strict=True))
 _CORRUPT = {"bear": 20}
 _MV_OBJECTS = ("bear", "buddha", "cow", "pot2", "reading")
 _MV_VIEWS = 20

@@ -32,15 +32,13 @@ from unips_jax.io.ps_wild import (
     read_meta,
 )
 
-_LIGHTINGS = {
-    **{name: "directional" for name in ("directional", "dir", "directional_light")},
-    **{name: "environment" for name in ("environment", "env", "hdri", "hdr")},
-    **{
-        name: "mixed"
-        for name in ("mixed", "directional_hdri", "dir_hdri", "dirhdri", "both")
-    },
+_SPELLED = {
+    "directional": "directional dir directional_light",
+    "environment": "environment env hdri hdr",
+    "mixed": "mixed directional_hdri dir_hdri dirhdri both",
 }
-_ORDER = {"directional": 0, "environment": 1, "mixed": 2}
+_LIGHTINGS = {word: name for name, words in _SPELLED.items() for word in words.split()}
+_ORDER = {name: place for place, name in enumerate(_SPELLED)}
 
 
 class PSWildTest(Benchmark):
