@@ -65,11 +65,9 @@ def woodham_diligent() -> Method:
 
 
 def robust_l1(*, iterations: int = 50) -> Method:
-    """Least absolute residuals by iteratively reweighted least squares.
-
-    The weights are 1/|residual|, capped at 1e5 over the image maximum (float32 cannot
-    use more; the reference goes to 1e16).
-    """
+    """Least absolute residuals by iteratively reweighted least squares."""
+    # The weights are 1/|residual|, capped at 1e5 over the image maximum (float32 cannot
+    # use more; the reference goes to 1e16).
     solve = functools.partial(map_pixels, _l1, iterations=iterations)
     return _method("robust_l1", solve, "luma")
 

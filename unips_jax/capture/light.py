@@ -122,11 +122,9 @@ def _far_side(rough: RoughLights, towards: np.ndarray) -> float:
 
 
 def look_at_encoding(images: np.ndarray, mask: np.ndarray) -> list[Finding]:
-    """Reports 8-bit values without a tag that fit better as linear ones.
-
-    Matte surfaces under N lamps are of rank 3 in linear light, but for shadows. Objects
-    that are not matte show nothing.
-    """
+    """Reports 8-bit values without a tag that fit better as linear ones."""
+    # Matte surfaces under N lamps are of rank 3 in linear light, but for shadows.
+    # Objects that are not matte show nothing.
     if len(images) < _LINEAR_LEAST or images.dtype != np.uint8:
         return []
     step = max(1, int((mask.sum() / 4000) ** 0.5))

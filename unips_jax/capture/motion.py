@@ -139,10 +139,8 @@ def grey_of(image: np.ndarray, scale: float) -> np.ndarray:
 
 
 def edge_field(grey: np.ndarray) -> np.ndarray:
-    """The doubled angle of edges, `[h, w]`, complex; near 0 where there are none.
-
-    A pool of light has smooth sides, which move with the lamp: they are taken out.
-    """
+    """The doubled angle of edges, `[h, w]`, complex; near 0 where there are none."""
+    # A pool of light has smooth sides, which move with the lamp: they are taken out.
     top = max(float(np.percentile(grey, 99)), 1e-12)
     log = np.log(grey + 0.03 * top)
     log = cv2.GaussianBlur(log, (0, 0), 1) - cv2.GaussianBlur(log, (0, 0), _SMOOTH)

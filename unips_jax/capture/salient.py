@@ -36,10 +36,8 @@ _ROWS = 512  # at a time
 def mask_of_salient_object(
     images: np.ndarray, *, transfer: Transfer
 ) -> tuple[np.ndarray, float] | None:
-    """The object's mask, `[H, W]`, and how sure the network is; None if there is none.
-
-    The figure is the overlap of the masks at 30 and 70 % of saliency.
-    """
+    """The object's mask, `[H, W]`, and how sure the network is, or None."""
+    # How sure: the overlap of the masks at 30 and 70 % of saliency.
     scale = min(1.0, _SIDE / max(images.shape[1:3]))
     picture, top = _mean_picture(images, transfer, scale)
     salient = saliency(picture)

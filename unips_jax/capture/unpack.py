@@ -209,10 +209,8 @@ def _description(opened: BinaryIO) -> bytes:
 
 
 def choose_frames(seen: list[_Seen], count: int) -> list[int]:
-    """Which frames differ most in light, and are sharp among their neighbours.
-
-    Each next one is the farthest from all that were chosen before (Gonzalez, 1985).
-    """
+    """Which frames differ most in light, and are sharp among their neighbours."""
+    # Each next one is the farthest from all that were chosen before (Gonzalez, 1985).
     sharp = [
         index
         for index, frame in enumerate(seen)

@@ -37,11 +37,7 @@ class RayOptions:
     ray_cores: int = 2
 
     def check(self) -> None:
-        """Checks the options.
-
-        Raises:
-            InputError: if one cannot be meant.
-        """
+        """Raises `InputError` if an option cannot be meant."""
         if self.ray_cores < 1:
             raise InputError(f"--ray-cores: expected at least 1, got {self.ray_cores}")
 

@@ -238,10 +238,7 @@ def _renderer(
 
 
 def _rig(source: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each photograph's light: direction and colour, `[N, 3]`, and the rest.
-
-    The rest are `[N, 9, 3]`, harmonics of what does not come from there.
-    """
+    """Of each photograph's light: direction, colour `[N, 3]`; harmonics of the rest."""
     from unips_jax.lighting.rig import read_rig
 
     found = read_rig(source)

@@ -67,11 +67,7 @@ class Options:
 
 
 def run(argv: Sequence[str] | None = None) -> None:
-    """`unips render --engine cycles`.
-
-    Raises:
-        InputError: for bad input, and if objects had to be left out.
-    """
+    """`unips render --engine cycles`."""
     options = parse(
         Options,
         argv,

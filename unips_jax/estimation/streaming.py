@@ -107,10 +107,7 @@ def estimate_with_lights(
     progress: Progress | None = None,
     preview: Preview | None = None,
 ) -> NormalsAndLights:
-    """`estimate_photographs`, and the lights that are guessed on the way.
-
-    `preview` is called early with a coarse grid of the normals.
-    """
+    """`estimate_photographs`, and the guessed lights; `preview` gets a coarse grid."""
     if lights is not None:
         require_known_lights(network.config)
     count, padded = len(images), padded_size(len(images))

@@ -96,10 +96,8 @@ def tasks_of(plan: Plan) -> list[Task]:
 
 
 def subsets_of(plan: Plan, index: int) -> Iterator[tuple[Subset, np.ndarray]]:
-    """The subsets in which an object is shown, and their images' places.
-
-    Where all images are used there is nothing to draw, and one seed is as any other.
-    """
+    """The subsets in which an object is shown, and their images' places."""
+    # Where all images are used there is nothing to draw, and one seed is as any other.
     total = len(plan.benchmark.entries[index].images)
     drawn = [count for count in plan.counts if count is not None]
     alone = len(plan.counts) == 1 and (len(plan.seeds) == 1 or not drawn)

@@ -130,10 +130,8 @@ def mean(row: Published, evaluated: Sequence[str] = ()) -> float:
 
 
 def comparable(rows: Sequence[Published], evaluated: Sequence[str]) -> list[Published]:
-    """The rows whose mean compares with one over these objects and lightings.
-
-    Rows that print nothing but a mean are left out where others were evaluated too.
-    """
+    """The rows whose mean compares with one over these objects and lightings."""
+    # Rows that print nothing but a mean are left out where others were evaluated too.
     known = {name for row in rows for name in row.scores} - {"mean"}
     if not known & set(evaluated) or known <= set(evaluated):
         return list(rows)

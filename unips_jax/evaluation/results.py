@@ -124,10 +124,8 @@ def number(count: int | None) -> Value:
 
 
 def complete(results: Results, tags: Mapping[str, str]) -> set[str]:
-    """The methods that have scores of the most entries with these tags.
-
-    Means over different objects do not compare.
-    """
+    """The methods that have scores of the most entries with these tags."""
+    # Means over different objects do not compare.
     scored = {
         label: sum(
             tags.items() <= result.tags.items()

@@ -60,11 +60,9 @@ def score(estimate: np.ndarray, true: np.ndarray, mask: np.ndarray) -> Score:
 
 
 def best_signs(estimate: np.ndarray, true: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The estimate with those signs of x, y and z that come closest to the truth.
-
-    Methods for which convex equals concave are compared so in publications; an oracle,
-    to be marked in any table.
-    """
+    """The estimate with those signs of x, y and z that come closest to the truth."""
+    # Methods for which convex equals concave are compared so in publications; an
+    # oracle, to be marked in any table.
     turned = [
         estimate * np.array(s, np.float32) for s in itertools.product((1, -1), repeat=3)
     ]

@@ -301,10 +301,8 @@ def _remarks(results: Results) -> Table:
 
 
 def turned_axes(results: Results) -> dict[str, str]:
-    """Methods that are not ours and whose axes seem turned, with a line on it.
-
-    Found by their scores; where the truth is withheld, by their slopes alone.
-    """
+    """Methods that are not ours and whose axes seem turned, with a line on it."""
+    # Found by their scores; where the truth is withheld, by their slopes alone.
     found: dict[str, str] = {}
     for label in results.labels:
         own = results.of(label, results.main_count)

@@ -43,10 +43,8 @@ def basis(directions: np.ndarray) -> np.ndarray:
 
 
 def fit_matrix(directions: np.ndarray) -> np.ndarray:
-    """What turns a pixel's N values to its six coefficients, `[6, N]`.
-
-    Where directions do not settle the polynomial, terms of higher degree are small.
-    """
+    """What turns a pixel's N values to its six coefficients, `[6, N]`."""
+    # Where directions do not settle the polynomial, terms of higher degree are small.
     terms = basis(directions)
     pull = _RIDGE * len(terms) * np.diag([1, 1, 1, 0.1, 0.1, 1e-6])
     return np.linalg.solve(terms.T @ terms + pull, terms.T)

@@ -18,11 +18,9 @@ from unips_jax.models.set_attention import Dense, layer_norm
 
 
 def node_matrix(cells: int) -> np.ndarray:
-    """Weights of an axis' cells at nodes half a cell apart: `[2 cells + 1, cells]`.
-
-    What lies beyond the outer cells' centres has their values, as in
-    `ops.bilinear_sample`.
-    """
+    """Weights of an axis' cells at nodes half a cell apart: `[2 cells + 1, cells]`."""
+    # What lies beyond the outer cells' centres has their values, as in
+    # `bilinear_sample`.
     places = np.clip((np.arange(2 * cells + 1) - 1) / 2, 0, cells - 1)
     return np.maximum(1 - np.abs(places[:, None] - np.arange(cells)), 0)
 

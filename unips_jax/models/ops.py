@@ -227,20 +227,16 @@ def normalize(x: Array) -> Array:
 
 
 def gelu(x: Array) -> Array:
-    """The exact GELU, x times the normal distribution function.
-
-    Through erf: `jax.nn.gelu` takes erfc, which costs four times as much on CPU and
-    gains digits only where the result is next to zero.
-    """
+    """The exact GELU, x times the normal distribution function."""
+    # Through erf: `jax.nn.gelu` takes erfc, which costs four times as much on CPU and
+    # gains digits only where the result is next to zero.
     return x * (0.5 + 0.5 * jax.lax.erf(x * np.asarray(0.5**0.5, x.dtype)))
 
 
 def largest(x: Array, axis: int) -> Array:
-    """The maximum along an axis, with one element's gradient.
-
-    The gradient of `jnp.max` is shared by the elements that equal the maximum. Where a
-    compiler computes those anew, a digit apart, there is none, and it becomes NaN.
-    """
+    """The maximum along an axis, with one element's gradient."""
+    # The gradient of `jnp.max` is shared by the elements that equal the maximum. Where
+    # a compiler computes those anew, a digit apart, there is none, and it becomes NaN.
     indices = jax.lax.broadcasted_iota(jnp.int32, x.shape, axis % x.ndim)
     first = jnp.argmax(x, axis=axis, keepdims=True).astype(jnp.int32)
     return jnp.sum(jnp.where(indices == first, x, 0), axis=axis)

@@ -144,7 +144,7 @@ class Encoder(nn.Module):
 
 
 class Observation(nn.Module):
-    """Lets a pixel's observations scale and shift its contexts; begins as the identity.
+    """Lets a pixel's observations scale and shift its contexts; identity at first.
 
     Next to each value stands its ratio to the set's mean, which no albedo changes.
     """

@@ -78,10 +78,8 @@ def write_sheet(
 
 
 def shade(normals: np.ndarray, azimuth_deg: float) -> np.ndarray:
-    """Lambertian shading of white material: max(n . l, 0), `[H, W]`.
-
-    The light's side: 0 right, 90 above; it stands 40 degrees above the image plane.
-    """
+    """Lambertian shading of white material: max(n . l, 0), `[H, W]`."""
+    # The light's side: 0 right, 90 above; it stands 40 degrees above the image plane.
     azimuth, elevation = np.deg2rad([azimuth_deg, _LIGHT_ELEVATION_DEG])
     light = np.array(
         [

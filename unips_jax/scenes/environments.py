@@ -57,10 +57,8 @@ def load_tables() -> Tables:
 
 
 def directions_of(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Directions `[height, width, 3]` of a table's pixels, and their solid angles.
-
-    A quarter turn from `lighting.environment.sphere`: seeds had it before.
-    """
+    """Directions `[height, width, 3]` of a table's pixels, and their solid angles."""
+    # A quarter turn from `lighting.environment.sphere`: seeds had it before.
     towards, solid = map(np.asarray, sphere(height, width))
     return towards[..., [2, 1, 0]] * np.array([1, 1, -1], np.float32), solid
 

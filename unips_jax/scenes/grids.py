@@ -5,11 +5,9 @@ from jax import Array
 
 
 def pixel_grid(size: int) -> tuple[Array, Array]:
-    """Pixel centres: u right, v up, in (-1, 1), `[size * size]`.
-
-    Flat, as all fields are while rays are marched: the compiler vectorises the last
-    axis only.
-    """
+    """Pixel centres: u right, v up, in (-1, 1), `[size * size]`."""
+    # Flat, as all fields are while rays are marched: the compiler vectorises the last
+    # axis only.
     centers = (2 * jnp.arange(size, dtype=jnp.float32) + 1) / size - 1
     u, v = jnp.meshgrid(centers, -centers)
     return u.reshape(-1), v.reshape(-1)

@@ -35,10 +35,8 @@ def _read(path: str) -> np.ndarray:
 
 
 def load_meshes(config: SceneConfig) -> np.ndarray | None:
-    """The grids `[M, G, G, G]` that a configuration wants, float16.
-
-    They are arguments of what renders, since constants of their size compile slowly.
-    """
+    """The grids `[M, G, G, G]` that a configuration wants, float16."""
+    # They are arguments of what renders: constants of their size compile slowly.
     return _read(str(Path(config.mesh_file))) if config.mesh_rate else None
 
 

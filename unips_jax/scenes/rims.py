@@ -49,11 +49,9 @@ def extend(values: Array, mask: Array, steps: int = REACH) -> Array:
 
 
 def border_depth(mask: Array, steps: int = REACH) -> Array:
-    """How many pixels inside the border, `[H, W]`: 0 just inside, -1 just outside.
-
-    At most `steps` more. Steps across and steps that go along diagonals too take turns,
-    which keeps circles round. The frame is no border.
-    """
+    """How many pixels inside the border, `[H, W]`: 0 just inside, -1 just outside."""
+    # Steps across and steps that go along diagonals too take turns, which keeps circles
+    # round. The frame is no border.
     rows, columns = (band(size, 1.0) for size in mask.shape)
     inside, outside = mask.astype(jnp.float32), 1.0 - mask
     depth = jnp.where(mask, float(steps), -1.0 - steps)

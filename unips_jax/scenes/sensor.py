@@ -34,11 +34,9 @@ def exposure(radiance: Array, mask: Array, target: Array, spare: Array | bool) -
 
 
 def blur(images: Array, mask: Array, amount: Array) -> Array:
-    """Averages with the masked neighbours, weight `amount` for each of four.
-
-    Written as products with banded matrices: shifted copies would make the compiler
-    evaluate everything before them several times.
-    """
+    """Averages with the masked neighbours, weight `amount` for each of four."""
+    # Products with banded matrices: shifted copies would make the compiler evaluate
+    # everything before them several times.
     weight = mask.astype(jnp.float32)
     rows, columns = (band(size, amount) for size in mask.shape)
     return (rows @ images @ columns) / (rows @ weight @ columns + 1e-6)

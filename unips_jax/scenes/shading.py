@@ -43,11 +43,9 @@ def split(vectors: Array) -> Point:
 
 
 def key_clearance(geometry: Geometry, vector: Array, near: Array) -> Array:
-    """Clearance of the rays to a key light, `[P]` for P = H W.
-
-    Marched for every second pixel and interpolated: it is continuous across the
-    edges of shadows, which stay sharp when it is compared with zero afterwards.
-    """
+    """Clearance of the rays to a key light, `[P]` for P = H W."""
+    # Marched for every second pixel and interpolated: it is continuous across the edges
+    # of shadows, which stay sharp when it is compared with zero afterwards.
     mask = geometry.mask
     fields = jnp.concatenate([geometry.positions, geometry.normals], -1)
     picked = pick(jnp.moveaxis(fields, -1, 0), mask, KEY_STRIDE)

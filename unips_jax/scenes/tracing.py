@@ -131,11 +131,9 @@ def first_crossings(
 
 
 def gradient(function, point: Point) -> Point:
-    """Derivative of a field, forward and in a loop.
-
-    The fields are loops, costly to reverse, and written out the compiler repeats the
-    field for every consumer.
-    """
+    """Derivative of a field."""
+    # Forward and in a loop: the fields are loops, costly to reverse, and written out
+    # the compiler repeats the field for every consumer.
 
     def slope(tangent: Array) -> Array:
         full = tuple(jnp.full_like(point[0], 1.0) * tangent[i] for i in range(3))

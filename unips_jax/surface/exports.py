@@ -91,10 +91,8 @@ def blender_model(
 def printable(
     depth: np.ndarray, scale: Scale = _UNKNOWN, *, longest_mm: float | None = None
 ) -> tuple[bytes, dict[str, Any]]:
-    """A watertight `.stl` on a base; arguments and result as of `blender_model`.
-
-    Of a surface in parts the largest is taken. Jumps of depth become walls.
-    """
+    """A watertight `.stl` on a base; arguments and result as of `blender_model`."""
+    # Of a surface in parts the largest is taken. Jumps of depth become walls.
     import trimesh
 
     top = _without_pinches(mesh_of_depth(_largest(depth), cut=None))

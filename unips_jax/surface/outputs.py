@@ -42,10 +42,8 @@ def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float 
 
 
 def photograph_colors(pixels: np.ndarray, transfer: Transfer) -> np.ndarray:
-    """A photograph as colours of a mesh: `[H, W, 3]`, uint8, sRGB.
-
-    Linear ones are scaled so that their brightest half a percent is white.
-    """
+    """A photograph as colours of a mesh: `[H, W, 3]`, uint8, sRGB."""
+    # Linear ones are scaled so that their brightest half a percent is white.
     linear = as_linear(pixels, transfer)
     if transfer == "linear":
         linear = linear / max(float(np.quantile(linear, 0.995)), 1e-12)

@@ -58,11 +58,10 @@ _SYSTEM_ERROR = re.compile(r"os_error_code='(\d+)'")
 
 
 def changed_fields(saved: dict[str, Any], config: Config) -> dict[str, Any]:
-    """What makes a run another one than that which was saved: saved and given values.
-
-    Fields that `saved`, a `Config` as read from JSON, lacks came with a later version:
-    they had their defaults. Fields that only it knows are gone and do not count.
-    """
+    """What makes a run another than the saved one: saved and given values."""
+    # Fields that `saved`, a `Config` as read from JSON, lacks came with a later
+    # version: they had their defaults. Fields that only it knows are gone and do not
+    # count.
     changed = {}
     for part, free in _FREE.items():
         section = getattr(config, part)

@@ -13,11 +13,10 @@ _LARGEST_ERROR = 0.61  # radians: 35 degrees, as by "upper left"
 
 
 def draw_known_lights(incident: IncidentLight, key: Array, share: float) -> Array:
-    """What is known of a set's lights, `[N, 3]`, as `models.known_lights` has them.
-
-    Of a share of the sets lights are known: of four in ten exactly, of the others with
-    an error of up to 35 degrees. In half of those sets some photographs lack theirs.
-    """
+    """What is known of a set's lights, `[N, 3]`, as `models.known_lights` has them."""
+    # Of a share of the sets lights are known: of four in ten exactly, of the others
+    # with an error of up to 35 degrees. In half of those sets some photographs lack
+    # theirs.
     directions = jnp.asarray(incident.lamp_direction)
     known = jnp.asarray(incident.lamp_known) & (incident.lamp_share > _LEAST_SHARE)
     keys = jax.random.split(key, 4)

@@ -46,10 +46,8 @@ def replicated(mesh: Mesh) -> NamedSharding:
 
 
 def state_sharding(state: Any, mesh: Mesh) -> Any:
-    """Shardings of a training state, or of its shapes: large arrays are split.
-
-    Each along its longest axis that the devices of "fsdp" divide; source: big_vision.
-    """
+    """Shardings of a training state, or of its shapes: large arrays are split."""
+    # Each along its longest axis that the devices of "fsdp" divide; source: big_vision.
     parts = mesh.shape["fsdp"]
 
     def choose(array: Any) -> NamedSharding:

@@ -155,10 +155,7 @@ def color_of(result: Result, view: View, mean: np.ndarray | None) -> dict | None
 def photographs_as_pictures(
     photographs: tuple[Photograph, ...], view: View, inside: np.ndarray
 ) -> tuple[list[tuple[str, np.ndarray]], np.ndarray | None]:
-    """Names and pictures `[height, width, 3]`, uint8, of at most 24 photographs.
-
-    Evenly chosen. All are read, one by one, for their mean, which is linear.
-    """
+    """Names and pictures `[height, width, 3]`, uint8, of at most 24; and all's mean."""
     if not photographs:
         return [], None
     shown = shown_photographs(len(photographs))

@@ -65,11 +65,7 @@ def photographs_of(
 
 
 def read_result(folder: Path, photographs: Path | None = None) -> Result:
-    """Reads a folder that `unips estimate` wrote.
-
-    Photographs are shown if they are where they were, or in the folder given,
-    unchanged.
-    """
+    """Reads a folder of results; photographs are shown if they are as they were."""
     record = whole_record(folder)
     normals = read_normal_map(folder).normals
     size = normals.shape[:2]

@@ -72,11 +72,9 @@ def _link_weights(
 
 
 def merge_angles(patches: Sequence[Patch], count: int) -> np.ndarray:
-    """Merges at least one patch by shortest paths of angles; returns as `merge_sync`.
-
-    Paths run over at most 1200 pixels, from at most 300 of them; the others follow from
-    the frames that fit their patches best.
-    """
+    """Merges patches by shortest paths of angles; returns as `merge_sync`."""
+    # Paths run over at most 1200 pixels, from at most 300 of them; the others follow
+    # from the frames that fit their patches best.
     covered = np.zeros(count, bool)
     for patch in patches:
         covered[patch.pixels] = True

@@ -79,11 +79,8 @@ def raw_normals(depth: Array, problem: Problem) -> Array:
 
 
 def inner_normals(depth: Array, problem: Problem) -> Array:
-    """N(depth) with backward differences where forward ones would leave the mask.
-
-    `raw_normals` has depth 0 beyond the mask, which spoils its right and lower rim.
-    `[3, H, W]`, not normalised; (0, 0, -1) outside the mask.
-    """
+    """N(depth) `[3, H, W]`, not normalised, with backward differences at the rim."""
+    # `raw_normals` has depth 0 beyond the mask, which spoils its right and lower rim.
     mask, slopes = problem.mask, []
     steps = forward(depth, mask, closed=True)
     for step, (rows, columns) in zip(steps, ((0, 1), (1, 0)), strict=True):

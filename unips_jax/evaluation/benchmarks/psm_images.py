@@ -63,10 +63,8 @@ class PsmImages(Benchmark):
 
 
 def sphere_normals(mask: np.ndarray) -> np.ndarray:
-    """Unit normals `[H, W, 3]` of the sphere whose orthographic outline is the mask.
-
-    Pixels at the rim outside the circle of the same area are brought to it.
-    """
+    """Unit normals `[H, W, 3]` of the sphere whose orthographic outline is the mask."""
+    # Pixels at the rim outside the circle of the same area are brought to it.
     rows, columns = np.nonzero(mask)
     radius = np.sqrt(len(rows) / np.pi)
     x = (columns - columns.mean()) / radius

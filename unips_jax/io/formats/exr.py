@@ -91,10 +91,8 @@ def _allocated(header: dict[str, Any]) -> int:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps off the terminal what libraries print before they raise.
-
-    Output belongs to the whole process, so only its main thread may take it.
-    """
+    """Keeps off the terminal what libraries print before they raise."""
+    # Output belongs to the whole process, so only its main thread may take it.
     if threading.current_thread() is not threading.main_thread():
         yield
         return
