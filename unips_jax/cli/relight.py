@@ -22,9 +22,9 @@ import tyro
 
 from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
-from unips_jax.io.color import as_linear, srgb_encode
+from unips_jax.io.color import srgb_encode
 from unips_jax.io.door import write_json
-from unips_jax.io.images import read_image_file, require_finite, write_exr, write_image
+from unips_jax.io.images import read_linear, require_size, write_exr, write_image
 from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap
 from unips_jax.io.record import print_line
@@ -97,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     base_color, source = _base_color(options, normals.shape[:2])
     environment, rig = None, None
     if options.environment is not None:
-        environment = _linear(options.environment)
+        environment = read_linear(options.environment)
     if options.lights_from is not None:
         rig = _rig(options.lights_from)
     start_jax()
@@ -181,14 +181,6 @@ def _direction(options: Options) -> tuple[float, float, float]:
     return options.light or (-1.0, 1.0, 1.5)
 
 
-def _linear(path: Path) -> np.ndarray:
-    """An image file's linear light, `[h, w, 3]`."""
-    file = read_image_file(path)
-    require_finite(path, file.pixels)
-    linear = as_linear(file.pixels, file.encoding.transfer)
-    return np.broadcast_to(linear, (*linear.shape[:2], 3))
-
-
 def _base_color(options: Options, size: tuple[int, int]) -> tuple[np.ndarray, str]:
     """The base colour, and in words where it is from."""
     path = options.base_color
@@ -196,12 +188,8 @@ def _base_color(options: Options, size: tuple[int, int]) -> tuple[np.ndarray, st
         path = options.result / "base_color.exr"
         if not path.is_file():
             return np.array(_GREY, np.float32), "grey, none given"
-    color = _linear(path)
-    if color.shape[:2] != size:
-        raise InputError(
-            f"{path}: expected the normals' size, {size[1]} x {size[0]}, got "
-            f"{color.shape[1]} x {color.shape[0]}; resize it"
-        )
+    color = read_linear(path)
+    require_size(path, color.shape[:2], size)
     return np.clip(color, 0, 1), str(path)
 
 

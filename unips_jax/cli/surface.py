@@ -23,7 +23,7 @@ import tyro
 from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.door import write_json, write_whole
-from unips_jax.io.images import read_image_file
+from unips_jax.io.images import read_image_file, require_size
 from unips_jax.io.masks import read_mask
 from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap, read_numbers
@@ -108,11 +108,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     mask = None
     if options.mask is not None:
         mask = read_mask(options.mask)
-        _check_size(options.mask, mask.shape, size)
+        require_size(options.mask, mask.shape, size)
     photograph = None
     if options.photograph is not None:
         photograph = read_image_file(options.photograph)
-        _check_size(options.photograph, photograph.pixels.shape[:2], size)
+        require_size(options.photograph, photograph.pixels.shape[:2], size)
     prior = None if options.prior is None else _prior(options.prior, size)
     exif = None if photograph is None else photograph.focal
     focal = focal_of(options.focal, exif, options.photograph)
@@ -169,7 +169,7 @@ def _exports(
         base_color = options.normals / "base_color.png"
         if base_color.is_file():
             pixels = read_image_file(base_color).pixels
-            _check_size(base_color, pixels.shape[:2], normals.shape[:2])
+            require_size(base_color, pixels.shape[:2], normals.shape[:2])
             colors = photograph_colors(pixels, "srgb")
         data, made["blender"] = blender_model(
             depth,
@@ -215,17 +215,8 @@ def _prior(path: Path, size: tuple[int, int]) -> np.ndarray:
         if path.suffix == ".npy"
         else read_depth(path)
     )
-    _check_size(path, prior.shape, size)
+    require_size(path, prior.shape, size)
     return prior
-
-
-def _check_size(path: Path, got: tuple[int, ...], expected: tuple[int, int]) -> None:
-    if tuple(got) != tuple(expected):
-        height, width = expected
-        raise InputError(
-            f"{path}: expected the normals' size, {width} x {height}, got "
-            f"{' x '.join(map(str, got[::-1]))}; resize it"
-        )
 
 
 if __name__ == "__main__":

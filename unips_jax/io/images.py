@@ -21,7 +21,7 @@ import OpenEXR
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
-from unips_jax.io.color import Encoding
+from unips_jax.io.color import Encoding, as_linear
 from unips_jax.io.door import write_whole
 from unips_jax.io.formats import Damaged, Encoded, NotRead, decode, open_encoded
 
@@ -125,6 +125,25 @@ def check_image(data: bytes, path: Path) -> tuple[int, int, int, np.dtype]:
     if header.orientation >= 5:
         height, width = width, height
     return height, width, header.channels, header.dtype
+
+
+def read_linear(path: Path) -> np.ndarray:
+    """An image file's linear light, all finite: `[H, W, 3]`."""
+    file = read_image_file(path)
+    require_finite(path, file.pixels)
+    linear = as_linear(file.pixels, file.encoding.transfer)
+    return np.broadcast_to(linear, (*linear.shape[:2], 3))
+
+
+def require_size(
+    path: Path, got: tuple[int, ...], normals: tuple[int, ...], fix: str = "resize it"
+) -> None:
+    """Raises InputError if a map has not the size `[H, W]` of its normals."""
+    if tuple(got) != tuple(normals):
+        expected, came = (" x ".join(map(str, s[::-1])) for s in (normals, got))
+        raise InputError(
+            f"{path}: expected the normals' size, {expected}, got {came}; {fix}"
+        )
 
 
 def require_finite(path: Path, values: np.ndarray) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_linear
-from unips_jax.io.images import read_bytes, read_image_file
+from unips_jax.io.images import read_bytes, read_image_file, read_linear, require_size
 from unips_jax.io.normal_maps import read_normal_map
 from unips_jax.io.results import whole_record
 from unips_jax.surface.depth_files import read_depth
@@ -91,7 +91,7 @@ def maps_of(folder: Path, size: tuple[int, ...]) -> dict[str, Any]:
     maps = {}
     color, error = folder / "base_color.png", folder / "confidence.exr"
     if color.is_file():
-        maps["base_color"] = _of_size(color, _linear(color), size)
+        maps["base_color"] = _of_size(color, read_linear(color), size)
     if error.is_file():
         values = read_image_file(error).pixels[..., 0]
         maps["expected_error"] = _of_size(error, values, size)
@@ -142,16 +142,6 @@ def _photograph(path: Path, transfer: Transfer, size: tuple[int, ...]) -> np.nda
     return np.broadcast_to(_of_size(path, linear, size), (*size, 3))
 
 
-def _linear(path: Path) -> np.ndarray:
-    file = read_image_file(path)
-    linear = as_linear(file.pixels, file.encoding.transfer)
-    return np.broadcast_to(linear, (*linear.shape[:2], 3))
-
-
 def _of_size(path: Path, values: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
-    if values.shape[:2] != tuple(size):
-        raise InputError(
-            f"{path}: expected the normals' size, {size[1]} x {size[0]}, got "
-            f"{values.shape[1]} x {values.shape[0]}; estimate anew"
-        )
+    require_size(path, values.shape[:2], size, "estimate anew")
     return values
