@@ -124,7 +124,7 @@ def test_base_colour_without_highlights_and_seams(tmp_path, monkeypatch):
     assert np.median(error) < 0.04 and np.quantile(error, 0.9) < 0.16
     monkeypatch.setattr("unips_jax.lighting.light_fit._STRIP", 7 * 5 * 40)
     np.testing.assert_allclose(base_color(images, NORMALS, MASK, lights), whole, 1e-6)
-    write_base_color(tmp_path, images, NORMALS, MASK, lights)
+    write_base_color(tmp_path, whole)
     picture = cv2.imread(str(tmp_path / "base_color.png"), cv2.IMREAD_UNCHANGED)
     encoded = np.rint(65535 * srgb_encode(whole[..., ::-1])).astype(int)
     assert np.abs(picture.astype(int) - encoded).max() <= 1

@@ -100,15 +100,16 @@ def write_extras(
     images, mask, transfer = estimate.images, estimate.mask, estimate.transfer
     lights, confidence = estimate.extras
     if lights is not None:
-        from unips_jax.lighting.light_files import write_base_color, write_lights
+        from unips_jax.lighting import light_files as files
         from unips_jax.lighting.ptm import fit_texture_map, write_planes, write_ptm
 
         if options.lights:
-            write_lights(folder, list(estimate.record["images"]), lights)
+            files.write_lights(folder, list(estimate.record["images"]), lights)
         if options.base_color:
-            facts["base_color"] = write_base_color(
-                folder, images, estimate.normals, mask, lights, transfer=transfer
+            color = files.base_color(
+                images, estimate.normals, mask, lights, transfer=transfer
             )
+            facts["base_color"] = files.write_base_color(folder, color)
         if options.rti:
             fit = fit_texture_map(images, mask, lights, transfer=transfer)
             facts["rti"] = write_ptm(folder / "relight.ptm", fit)

@@ -72,22 +72,8 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
     write_whole(folder / "lights.lp", data, sync=False)
 
 
-def write_base_color(
-    folder: Path,
-    images: np.ndarray,
-    normals: np.ndarray,
-    mask: np.ndarray,
-    lights: Lights,
-    *,
-    transfer: Transfer = "linear",
-) -> dict[str, Any]:
-    """Finds the base colour of every pixel, and writes `base_color.exr` and `.png`.
-
-    The albedo that explains the photographs best, for matt surfaces, shadows and
-    highlights spared; up to one factor, and to the lights' common colour. Returns what
-    the record keeps.
-    """
-    color = base_color(images, normals, mask, lights, transfer=transfer)
+def write_base_color(folder: Path, color: np.ndarray) -> dict[str, Any]:
+    """Writes `base_color.exr` and `.png`; returns what the record keeps."""
     comments = "base colour, linear, up to a factor; 0: no surface"
     write_exr(folder / "base_color.exr", {"RGB": color}, comments)
     encoded = np.rint(65535 * srgb_encode(color)).astype(np.uint16)
@@ -103,7 +89,11 @@ def base_color(
     *,
     transfer: Transfer = "linear",
 ) -> np.ndarray:
-    """The base colour, `[H, W, 3]`, float32, in [0, 1]; arguments as above."""
+    """The base colour of every pixel, `[H, W, 3]`, float32, in [0, 1].
+
+    The albedo that explains the photographs best, for matt surfaces, shadows and
+    highlights spared; up to one factor, and to the lights' common colour.
+    """
     color = np.zeros((*mask.shape, 3), np.float32)
     mask = mask & (normals != 0).any(-1)
     rows, columns = np.nonzero(mask)
