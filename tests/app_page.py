@@ -19,7 +19,7 @@ from unips_jax.io.images import read_image, write_image
 
 SAMPLE = Path(__file__).parents[1] / "unips_jax/assets/sample/obj000.data"
 SCREENSHOTS = os.environ.get("UNIPS_SCREENSHOTS")
-SIDE = 192 if SCREENSHOTS else 40
+SIDE = 40
 PATIENCE_S = 500  # several processes may share two cores
 
 
@@ -122,14 +122,13 @@ def fits(driver):
 
 
 def screenshot(driver, name):
-    if SCREENSHOTS:
-        time.sleep(1)
-        data = io.BytesIO(driver.get_screenshot_as_png())
-        with Image.open(data) as image:
-            small = image.convert("RGB").resize(
-                (900, 900 * image.height // image.width)
-            )
-            small.save(Path(SCREENSHOTS) / name, quality=85)
+    time.sleep(1)
+    driver.execute_script("window.scrollTo(0, 0)")
+    drawn(driver)
+    data = io.BytesIO(driver.get_screenshot_as_png())
+    with Image.open(data) as image:
+        small = image.convert("RGB").resize((900, 900 * image.height // image.width))
+        small.save(Path(SCREENSHOTS) / name, quality=85)
 
 
 def complaints(driver, *expected):

@@ -1,6 +1,6 @@
 """The application in a browser: from photographs to a lit surface, and nothing lost.
 
-`UNIPS_SCREENSHOTS=docs pytest tests/use/test_app_browser.py` also writes the pictures
+`UNIPS_SCREENSHOTS=docs pytest tests/use/test_app_browser.py -k pictures` writes those
 of `docs/app.md`, from the sample that ships.
 """
 
@@ -23,6 +23,7 @@ pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 
 import trimesh
 from app_page import (
+    SCREENSHOTS,
     SIDE,
     Server,
     can_estimate,
@@ -106,7 +107,6 @@ def test_from_photographs_to_a_lit_surface(name, request, photographs, tmp_path)
         assert [t.text for t in thumbnails] == [p.name for p in photographs]
         suggested = dark_share(driver)
         assert 0.2 < suggested < 0.7
-        screenshot(driver, "app-photographs.jpg")
         edit_the_mask(driver, suggested)
         press(driver, "estimate")
         until(driver, lambda: shown(driver, "done"))
@@ -116,7 +116,6 @@ def test_from_photographs_to_a_lit_surface(name, request, photographs, tmp_path)
             assert columns[: SIDE // 3].sum() < 0 < columns[-SIDE // 3 :].sum()
         check_exports(driver, server)
         check_viewer(driver)
-        screenshot(driver, "app-result.jpg")
         assert complaints(driver, "415") == []
 
 
@@ -213,6 +212,23 @@ def check_viewer(driver):
 
     until(driver, light_follows_the_pointer)  # a busy machine draws late
     driver.switch_to.default_content()
+
+
+@pytest.mark.skipif(not SCREENSHOTS, reason="no pictures for docs/app.md are asked for")
+def test_pictures(shipped, tmp_path):
+    (tmp_path / "notes.txt").write_text("no photograph")
+    (tmp_path / "photo_7.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"0" * 100)
+    files = [*written(tmp_path, 192, range(7)), *sorted(tmp_path.glob("*s.txt"))]
+    with browser(1200, 1650) as driver:
+        open_page(driver, shipped.with_key)
+        upload(driver, [*files, tmp_path / "photo_7.png"])
+        until(driver, lambda: can_estimate(driver))
+        screenshot(driver, "app-photographs.jpg")
+        press(driver, "estimate")
+        until(driver, lambda: shown(driver, "done"))
+        driver.set_window_size(1200, 1350)
+        check_viewer(driver)
+        screenshot(driver, "app-result.jpg")
 
 
 def test_a_reload_costs_nothing_and_results_are_run_again(stand_in, tmp_path):
