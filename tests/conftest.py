@@ -33,9 +33,23 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(50_000, 20, 100)
 
 
+# Those that take longest come first, so that all workers end together.
+_FIRST = (
+    "test_train_devices.py",
+    "test_docs.py",
+    "test_train_resume.py",
+    "test_browser_page.py",
+    "test_app_browser.py",
+    "test_estimation.py",
+    "test_models.py",
+    "test_examples.py",
+    "test_validation.py",
+)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begins with training runs: they last longest and wait for their own processes."""
-    items.sort(key=lambda item: not item.path.name.startswith("test_train_"))
+    order = {name: place for place, name in enumerate(_FIRST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(order)))
 
 
 @pytest.fixture(scope="session")

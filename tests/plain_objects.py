@@ -151,3 +151,12 @@ def rippled_dome(size=64):
     colors = np.random.default_rng(0).integers(1, 256, (size, size, 3), np.uint8)
     depth = np.where(inside, -height, np.nan).astype(np.float32)
     return depth, (normals * inside[..., None]).astype(np.float32), colors
+
+
+def ellipse_photographs(n=3, height=23, width=31):
+    """Images of a tilted ellipse that leaves part of the frame empty."""
+    generator = np.random.default_rng(5)
+    y, x = np.mgrid[:height, :width]
+    mask = ((x - 13) / 11) ** 2 + ((y - 12) / 8) ** 2 + (x - 13) * (y - 12) / 200 < 1
+    images = generator.random((n, height, width, 3)).astype(np.float32)
+    return images, mask

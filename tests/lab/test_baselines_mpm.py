@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.stats import ortho_group
 
 from unips_jax.baselines.method import Observed, Unsupported
 from unips_jax.baselines.mpm import merge as mpm_merge
@@ -71,6 +70,13 @@ def shade_natural(normals, count=24, seed=0):
         power = np.exp((sky @ lobes.T - 1) * sharp) @ rng.exponential(size=6)
         images.append(irradiance @ (power / power.sum()))
     return np.repeat(np.stack(images)[..., None], 3, axis=-1).astype(np.float32)
+
+
+def turned(seed):
+    """A rotation, perhaps with a reflection."""
+    from scipy.stats import ortho_group  # half a second, for two tests
+
+    return ortho_group.rvs(3, random_state=seed)
 
 
 def error(predicted, true, mask):
@@ -201,7 +207,7 @@ def test_merging_undoes_rotations_and_reflections(merge):
         near = (np.abs(rows - 6 * y - 4) < 7) & (np.abs(columns - 6 * x - 4) < 7)
         pixels = np.flatnonzero(near)
         if len(pixels) > 20:
-            frame = ortho_group.rvs(3, random_state=index)
+            frame = turned(index)
             patches.append(mpm_patches.Patch(pixels, field[pixels] @ frame, 1.0))
     merged = merge(patches, count)
     known = np.isfinite(merged[:, 0])
@@ -238,7 +244,7 @@ def test_patches_lie_about_the_objects_middle():
 
 def test_integrability_recovers_a_random_frame():
     normals, mask = scene("cap")
-    frame = ortho_group.rvs(3, random_state=3)
+    frame = turned(3)
     found = frame_by_integrability(normals @ frame, mask)
     signs = [found, found * np.array([-1, -1, 1])]
     assert min(error(each, normals, mask) for each in signs) < 1

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL_OURS, lively_network
+from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax.baselines.method import Lights, Observed, Unsupported
 from unips_jax.errors import InputError
@@ -69,9 +69,9 @@ def test_errors_of_lights_are_those_asked_for():
 
 
 def test_unips_is_given_the_lights_of_a_benchmark(tmp_path):
-    knowing = lively_network(dataclasses.replace(SMALL_OURS, known_lights=True))
+    knowing = lively_network(dataclasses.replace(SHALLOW_OURS, known_lights=True))
     save_weights(tmp_path / "knowing.safetensors", knowing)
-    save_weights(tmp_path / "other.safetensors", lively_network(SMALL_OURS))
+    save_weights(tmp_path / "other.safetensors", lively_network(SHALLOW_OURS))
     options = UnipsOptions([str(tmp_path / "knowing.safetensors")])
     (plain, _), (given, _), (roughly, _) = (
         load_variants([request], options)
@@ -106,4 +106,4 @@ def test_settings_of_known_lights_that_do_not_fit_are_refused():
             DataConfig(**data)
     data = DataConfig(known_lights_rate=0.3, augment=False, source="scenes")
     with pytest.raises(ValueError, match="a network that knows lights"):
-        Config(model=SMALL_OURS, data=data)
+        Config(model=SHALLOW_OURS, data=data)

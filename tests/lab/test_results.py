@@ -68,7 +68,7 @@ def test_killed_at_any_moment_a_folder_is_of_one_run(tmp_path):
     (target / "notes.txt").write_text("the user's")
     moments = random.Random(7)
     version = 0
-    for _ in range(20):
+    for _ in range(10):
         start = str(version + 1)
         with subprocess.Popen(
             [sys.executable, "-c", WRITER, str(target), start], stdout=subprocess.PIPE

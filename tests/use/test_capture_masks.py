@@ -121,7 +121,7 @@ def test_holes_through_which_the_background_shows_are_open(name, radius):
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_the_network_lays_outlines_at_full_resolution(dtype):
-    images, truth = photographs(3, **HARD["wood"], size=(1350, 1800), count=3)
+    images, truth = photographs(3, **HARD["wood"], size=(1100, 1400), count=3)
     if dtype == np.float32:
         images = (images / 255).astype(dtype)
     mask, _ = mask_of_salient_object(images, transfer="srgb")

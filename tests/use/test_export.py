@@ -10,7 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from small_networks import SMALL, SMALL_OURS, lively_network
+from small_networks import SHALLOW_OURS, SMALL, lively_network
 
 from unips_jax import estimate_normals
 from unips_jax.cli.main import main
@@ -63,7 +63,7 @@ def save(folder, images, mask):
     np.save(folder / "mask.npy", mask)
 
 
-@pytest.mark.parametrize("config", [SMALL_OURS, LARGER], ids=["ours", "unips"])
+@pytest.mark.parametrize("config", [SHALLOW_OURS, LARGER], ids=["ours", "unips"])
 def test_onnx_gives_the_same_normals(config, tmp_path, monkeypatch):
     network, out = lively_network(config), tmp_path / "unips-onnx"
     record = write_export(out, network, format="onnx", name="small")
@@ -83,7 +83,7 @@ def test_onnx_gives_the_same_normals(config, tmp_path, monkeypatch):
 
 
 def test_stablehlo_gives_the_same_normals_without_this_package(tmp_path):
-    network = lively_network(SMALL_OURS)
+    network = lively_network(SHALLOW_OURS)
     out = tmp_path / "unips-stablehlo"
     write_export(out, network, format="stablehlo", name="small")
     sets = {"low": photographs(3, 31, 23), "wide": photographs(5, 19, 40)}
@@ -102,7 +102,7 @@ def test_stablehlo_gives_the_same_normals_without_this_package(tmp_path):
 
 
 def test_parameters_that_half_precision_holds_are_stored_so(tmp_path):
-    network = lively_network(SMALL_OURS)
+    network = lively_network(SHALLOW_OURS)
     sizes = {}
     for half in (False, True):
         folder = tmp_path / str(half)
@@ -114,7 +114,7 @@ def test_parameters_that_half_precision_holds_are_stored_so(tmp_path):
 
 
 def test_command(tmp_path, capsys):
-    save_weights(tmp_path / "small.safetensors", lively_network(SMALL_OURS))
+    save_weights(tmp_path / "small.safetensors", lively_network(SHALLOW_OURS))
     weights, out = str(tmp_path / "small.safetensors"), tmp_path / "out"
     assert (
         main(["export", "--format", "onnx", "--weights", weights, "-o", str(out)]) == 0

@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL_OURS, lively_network, lively_weights
+from small_networks import SHALLOW_OURS, lively_network, lively_weights
 
 from unips_jax.estimation.pure import estimate_normals
 from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.models.network import UniversalNetwork
 
-KNOWING = dataclasses.replace(SMALL_OURS, known_lights=True)
+KNOWING = dataclasses.replace(SHALLOW_OURS, known_lights=True)
 
 
 @functools.cache
@@ -40,7 +40,7 @@ def test_what_is_not_known_changes_nothing(photographs):
         for name, part in params["encoder"]["consensus"].items()
         if name != "given"
     }
-    before = estimate_normals(UniversalNetwork(SMALL_OURS, old), images, mask)
+    before = estimate_normals(UniversalNetwork(SHALLOW_OURS, old), images, mask)
     for unknown in (None, np.zeros((3, 3))):
         after = estimate_normals(network(), images, mask, lights=unknown)
         np.testing.assert_allclose(after, before, atol=2e-6)
@@ -84,4 +84,4 @@ def test_lights_that_do_not_fit_are_refused(photographs):
         estimate_normals(network(), images, mask, lights=lights[:2])
     for estimate in (estimate_normals, estimate_photographs):
         with pytest.raises(ValueError, match="expected weights of a network with"):
-            estimate(lively_network(SMALL_OURS), images, mask, lights=lights)
+            estimate(lively_network(SHALLOW_OURS), images, mask, lights=lights)

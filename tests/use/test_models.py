@@ -179,7 +179,7 @@ def test_attention_is_a_softmax_per_head(members):
         np.testing.assert_allclose(result[..., own], weights @ v[..., own], atol=1e-4)
 
 
-@pytest.mark.parametrize("config", [SHALLOW, OURS], ids=["paper", "ours"])
+@pytest.mark.parametrize("config", [SHALLOW, SHALLOW_OURS], ids=["paper", "ours"])
 def test_every_parameter_is_reached_and_remat_changes_nothing(config):
     network, params, arguments = make(config)
     again = EncoderDecoder(dataclasses.replace(config, remat=True))
