@@ -1,5 +1,7 @@
 """Objects of known shape and views of them, for several test files."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -86,17 +88,15 @@ def look(
     camera = tracing.Camera(
         jnp.float32(perspective), jnp.float32(distance), jnp.asarray([0.0, 0, half])
     )
-    return jax.jit(
-        lambda s: geometry.finish_geometry(
-            jax.random.key(0),
-            s,
-            jnp.eye(3),
-            camera,
-            size=size,
-            config=config,
-            **options,
-        )
-    )(shape)
+    return _look(shape, camera, options, size=size, config=config)
+
+
+@functools.partial(jax.jit, static_argnames=("size", "config"))  # one for all objects
+def _look(shape, camera, options, *, size, config):
+    key, pose = jax.random.key(0), jnp.eye(3)
+    return geometry.finish_geometry(
+        key, shape, pose, camera, size=size, config=config, **options
+    )
 
 
 def matt(geometry_, color=0.6):

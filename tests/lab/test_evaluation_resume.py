@@ -10,6 +10,8 @@ import time
 import evaluation_data as data
 import pytest
 
+from unips_jax.cli import evaluate
+
 PUBLISHED = ("report.html", "sheets/*.png", "tables/*", "results/*/*/*")
 
 
@@ -59,7 +61,7 @@ def results(work):
 @pytest.fixture(scope="module")
 def uninterrupted(root, tmp_path_factory):
     work = tmp_path_factory.mktemp("uninterrupted")
-    finish(start(root, work))
+    assert evaluate.main(data.ps_wild_arguments(root, work, 16, "3", "4")) == 0
     found = published(work)
     assert len(results(work)) == 36 and "report.html" in found
     return found
@@ -70,7 +72,7 @@ def kill_after(process, work, *, files, pause):
     while process.poll() is None:
         if sum(len(list(work.glob(pattern))) for pattern in PUBLISHED) >= files:
             break
-        time.sleep(0.001)
+        time.sleep(0.005)
     time.sleep(pause)
     process.send_signal(signal.SIGKILL)
     process.communicate()

@@ -109,15 +109,15 @@ def test_objects_are_hardly_ever_in_pieces(kind):
     @jax.jit
     def inside(key):
         shape = shapes.draw_shape(key, jnp.int32(SHAPE_KINDS.index(kind)))
-        axes = (jnp.linspace(-1, 1, 72) * shape.radius + c for c in shape.center)
+        axes = (jnp.linspace(-1, 1, 64) * shape.radius + c for c in shape.center)
         return sdf.distance(shape, tuple(jnp.meshgrid(*axes, indexing="ij"))) < 0
 
     broken = 0
-    for key in jax.random.split(jax.random.key(3), 24):
+    for key in jax.random.split(jax.random.key(3), 24)[::2]:
         pieces, _ = ndimage.label(np.asarray(inside(key)), np.ones((3, 3, 3)))
         sizes = np.sort(np.bincount(pieces.ravel())[1:])
         broken += sizes[-1] < 0.95 * sizes.sum()
-    assert broken <= 3
+    assert broken <= 2
 
 
 def test_objects_cut_away_whole_lose_their_cuts(monkeypatch):

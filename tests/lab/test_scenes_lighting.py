@@ -11,6 +11,8 @@ from unips_jax.scenes import SceneConfig, grids, lamps, shading
 from unips_jax.scenes import render as scenes_render
 from unips_jax.scenes.folders import describe
 
+shade_environment = jax.jit(shading.shade_environment)
+
 
 @pytest.fixture(scope="module")
 def sphere():
@@ -37,9 +39,12 @@ def test_bounced_light_is_the_mean_or_what_is_near(sphere):
     light = jnp.asarray([[1.0, 0, 0.3]])
     keys = lamps.KeyLights(light, jnp.zeros(1), jnp.zeros(1), jnp.ones((1, 3)))
 
+    @jax.jit
+    def lit(near):
+        return shading.radiance(hidden, surface, keys, dark, SceneConfig(), near)
+
     def shine(near):
-        image = shading.radiance(hidden, surface, keys, dark, SceneConfig(), near)
-        return np.asarray(image)[0, 0].reshape(sphere.mask.shape)
+        return np.asarray(lit(near))[0, 0].reshape(sphere.mask.shape)
 
     same, mean, near = shine(None), shine(jnp.float32(0)), shine(jnp.float32(0.1))
     np.testing.assert_allclose(mean, same, rtol=1e-6)
@@ -48,12 +53,17 @@ def test_bounced_light_is_the_mean_or_what_is_near(sphere):
     assert left < -0.02 and right > 0.02  # the light comes from the right
 
 
+@jax.jit
+def shade(geometry_, surface, direction, near, radius):
+    clear = shading.key_clearance(geometry_, direction, near)
+    return shading.shade_key_light(geometry_, surface, direction, near, radius, clear)
+
+
 def directional(geometry_, surface, direction):
     direction = jnp.asarray(direction, jnp.float32)
     direction = direction / jnp.linalg.norm(direction)
     near, radius = jnp.float32(0), jnp.float32(0.005)
-    clear = jax.jit(shading.key_clearance)(geometry_, direction, near)
-    image = shading.shade_key_light(geometry_, surface, direction, near, radius, clear)
+    image = shade(geometry_, surface, direction, near, radius)
     return np.asarray(image).reshape(3, *geometry_.mask.shape)[0]
 
 
@@ -100,9 +110,7 @@ def test_light_from_the_left_brightens_slopes_that_face_left(sphere):
 
 
 def test_lambertian_sphere_under_a_constant_environment(sphere):
-    image, _ = shading.shade_environment(
-        sphere, matt(sphere), constant_environment(2.0)
-    )
+    image, _ = shade_environment(sphere, matt(sphere), constant_environment(2.0))
     inside = np.asarray(sphere.mask).reshape(-1)
     np.testing.assert_allclose(np.asarray(image)[0, :, inside], 1.2, rtol=0.03)
 
@@ -150,9 +158,7 @@ def test_a_hollow_is_shadowed_by_its_rim(bowl):
 
 
 def test_a_round_hollow_sees_its_share_of_the_sky_and_itself(bowl):
-    around, hidden = shading.shade_environment(
-        bowl, matt(bowl), constant_environment(1.0)
-    )
+    around, hidden = shade_environment(bowl, matt(bowl), constant_environment(1.0))
     u, v = grids.pixel_grid(64)
     inside = np.asarray(jnp.hypot(u, v) < 0.45).reshape(-1)
     # The opening is 0.6 of the sphere, and every point sees it under that share.
@@ -170,9 +176,7 @@ def test_constant_environment_never_amplifies(sphere):
             jnp.full(count, metallic),
             jnp.float32(1),
         )
-        image, hidden = shading.shade_environment(
-            sphere, surface, constant_environment(1.0)
-        )
+        image, hidden = shade_environment(sphere, surface, constant_environment(1.0))
         inside = np.asarray(sphere.mask).reshape(-1)
         assert np.max(np.asarray(image + hidden)[0, :, inside]) < 1.02
         assert np.min(np.asarray(image)[0, :, inside]) > 0.3
