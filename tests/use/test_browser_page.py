@@ -61,16 +61,23 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
         pass
 
 
+@pytest.fixture(scope="module")
+def driver():
+    with browser(arguments=(ALONE,)) as driver:
+        yield driver
+
+
 @contextlib.contextmanager
-def opened(page):
-    """The page in a browser, served as any static host would."""
+def opened(driver, page):
+    """Opens the page as any static host serves it; nothing kept from another test."""
     handler = functools.partial(Quiet, directory=page)
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        with browser(arguments=(ALONE,)) as driver:
-            driver.get(f"http://127.0.0.1:{server.server_port}/")
-            until(driver, "return crossOriginIsolated && !!window.unips")
-            yield driver
+        messages(driver)
+        driver.get(f"http://127.0.0.1:{server.server_port}/")  # a port, a storage
+        until(driver, "return crossOriginIsolated && !!window.unips")
+        yield
+        driver.get("about:blank")
         server.shutdown()
 
 
@@ -156,14 +163,14 @@ def small(tmp_path_factory):
     return work / "out", load_weights(weights)
 
 
-def test_page(small, tmp_path):
+def test_page(small, driver, tmp_path):
     page, network = small
     for name, dtype in (("eight", np.uint8), ("sixteen", np.uint16)):
         write_set(tmp_path / name, dtype)
     write_ring(tmp_path / "ring")
     pixels = np.random.default_rng(1).integers(0, 255, (16, 24, 3)).astype(np.uint8)
     write_image(tmp_path / "one.jpg", np.kron(pixels, np.ones((4, 4, 1), np.uint8)))
-    with opened(page) as driver:
+    with opened(driver, page):
         for name in ("eight", "sixteen", "ring"):
             found = normals_by_page(driver, tmp_path / name)
             require_same(found, tmp_path / name, network)
@@ -251,12 +258,12 @@ READY = (
 )
 
 
-def test_mask_viewer_and_reload(small, tmp_path):
+def test_mask_viewer_and_reload(small, driver, tmp_path):
     page, _ = small
     images, truth = photographs(3, **HARD["wood"], count=3)
     for index, image in enumerate(images):
         write_image(tmp_path / f"{index}.png", image)
-    with opened(page) as driver:
+    with opened(driver, page):
         said = choose(driver, sorted(tmp_path.glob("*.png")))
         assert "the object was found" in said
         found = mask_of(driver, truth.shape)
@@ -290,10 +297,10 @@ def test_mask_viewer_and_reload(small, tmp_path):
         assert not [text for text in messages(driver) if "Error" in text]
 
 
-def test_a_run_that_was_cut_off_goes_on(small, tmp_path):
+def test_a_run_that_was_cut_off_goes_on(small, driver, tmp_path):
     page, _ = small
     write_set(tmp_path / "set", np.uint8)
-    with opened(page) as driver:
+    with opened(driver, page):
         choose(driver, sorted((tmp_path / "set").iterdir()))
         # As if the screen had gone off with half of the pixels done.
         driver.execute_async_script(
@@ -318,7 +325,7 @@ def test_a_run_that_was_cut_off_goes_on(small, tmp_path):
         np.testing.assert_allclose(lengths, 1, atol=1e-3)
 
 
-def test_turned_and_unreadable_photographs(small, tmp_path):
+def test_turned_and_unreadable_photographs(small, driver, tmp_path):
     page, _ = small
     pixels = np.zeros((24, 36, 3), np.uint8)
     pixels[:8, :12] = 255
@@ -326,7 +333,7 @@ def test_turned_and_unreadable_photographs(small, tmp_path):
     exif[0x0112] = 6  # a quarter to the right
     Image.fromarray(pixels).save(tmp_path / "turned.jpg", exif=exif, quality=95)
     (tmp_path / "phone.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(200))
-    with opened(page) as driver:
+    with opened(driver, page):
         choose(driver, [tmp_path / "turned.jpg"])
         width, height, *values = driver.execute_script(
             "const [f] = unips.state.photographs;"
@@ -349,12 +356,12 @@ def test_the_page_is_small(small):
 
 
 @pytest.mark.slow
-def test_page_with_the_shipped_weights(tmp_path):
+def test_page_with_the_shipped_weights(driver, tmp_path):
     assert build([str(tmp_path / "out")]) == 0
     folder = tmp_path / "sample"
     folder.mkdir()
     for file in SAMPLE.glob("*.png"):
         shutil.copy(file, folder)
-    with opened(tmp_path / "out") as driver:
+    with opened(driver, tmp_path / "out"):
         found = normals_by_page(driver, folder)
     require_same(found, folder, load_weights("tiny"))
