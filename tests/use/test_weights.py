@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,11 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 from small_networks import SMALL, lively_network, lively_weights
 
+import unips_jax
+from unips_jax import angular_error_deg, estimate_normals
 from unips_jax.errors import InputError
+from unips_jax.io.images import read_image
+from unips_jax.io.normals import read_normals
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import to_json
 from unips_jax.models.network import UniversalNetwork
@@ -43,6 +48,16 @@ def test_round_trip(tmp_path):
 
 def test_shipped_weights_are_those_of_tiny():
     assert load_weights("tiny").config == ModelConfig.tiny()
+
+
+def test_shipped_weights_find_the_normals_of_the_sample():
+    folder = Path(unips_jax.__file__).parent / "assets/sample/obj000.data"
+    images = [read_image(folder / f"L_{i:02}.png")[::2, ::2] for i in (0, 2, 4, 6)]
+    mask = read_image(folder / "mask.png")[::2, ::2] > 0
+    truth = read_normals(folder / "normal.tif")[::2, ::2]
+    normals = estimate_normals(load_weights("tiny"), np.stack(images) / 65535, mask)
+    error = angular_error_deg(normals, truth)[mask].mean()
+    assert error < 9  # 7.0; of a constant normal 37.4
 
 
 def test_half_precision_is_float32_in_memory(tmp_path):
