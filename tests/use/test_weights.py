@@ -53,7 +53,7 @@ def test_shipped_weights_are_those_of_tiny():
 def test_shipped_weights_find_the_normals_of_the_sample():
     folder = Path(unips_jax.__file__).parent / "assets/sample/obj000.data"
     images = [read_image(folder / f"L_{i:02}.png")[::2, ::2] for i in (0, 2, 4, 6)]
-    mask = read_image(folder / "mask.png")[::2, ::2] > 0
+    mask = read_image(folder / "mask.png")[::2, ::2, 0] > 0
     truth = read_normals(folder / "normal.tif")[::2, ::2]
     normals = estimate_normals(load_weights("tiny"), np.stack(images) / 65535, mask)
     error = angular_error_deg(normals, truth)[mask].mean()
