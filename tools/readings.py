@@ -114,6 +114,8 @@ def demo(setting: Setting, line: str) -> Table:
 
 def _name(label: str) -> str:
     """A method's name in our tables."""
+    if label == "unips fast":
+        return "UniPS with `--fast`"
     name = label.partition(":")[0].partition(" ")[0]
     if "†" in label or "sign=oracle" in label:
         return f"{name} †"
@@ -154,6 +156,17 @@ def ps_wild(setting: Setting, line: str, *, name: str) -> Table:
         row = _rounded([*cells, sum(cells) / len(cells)])
         found["rows"].append([f"material: {category}", *row])
     return found
+
+
+def fast(setting: Setting, line: str) -> Table:
+    """Methods by lighting, on how many sets."""
+    setting.run(line)
+    summary = setting.tables("out/fast")["summary"]
+    found = _by_lighting(summary)
+    rows = [
+        [*row, own[-1]] for row, own in zip(found["rows"], _own(summary), strict=True)
+    ]
+    return {"columns": [*found["columns"], "sets"], "rows": rows}
 
 
 def table8(setting: Setting, line: str) -> Table:

@@ -99,6 +99,7 @@ def test_tables_of_evaluations_are_read_by_name(readings, tmp_path, monkeypatch)
     lit = ["directional", "environment", "mixed", "Mean", "Median", "Objects"]
     summary = [
         ["unips tiny", 10, "this run", 1.234, 2.0, 3.0, 2.078, 9.0, "6 of 6"],
+        ["unips fast", 10, "this run", 1.3, 2.1, 3.1, 2.17, 9.0, "6 of 6"],
         ["mpm:sign=oracle", 10, "this run", 4.0, 5.0, 6.0, 5.0, 9.0, "5 of 6"],
         ["constant", 10, "this run", 7.0, 7.0, 7.0, 7.0, 7.0, "6 of 6"],
         ["UniPS", 32, "published", 17.0, 14.5, 13.8, 15.1, None, None],
@@ -119,7 +120,7 @@ def test_tables_of_evaluations_are_read_by_name(readings, tmp_path, monkeypatch)
             objects,
         ),
     }
-    for folder in ("ps-wild-mini", "table8/evaluation", "diligent"):
+    for folder in ("ps-wild-mini", "table8/evaluation", "diligent", "fast"):
         place = tmp_path / folder / "tables"
         place.mkdir(parents=True)
         named = {n: {"columns": c, "rows": r} for n, (c, r) in tables.items()}
@@ -135,6 +136,10 @@ def test_tables_of_evaluations_are_read_by_name(readings, tmp_path, monkeypatch)
     assert rows["UniPS"] == [1.23, 2.0, 3.0, 2.08, "6 of 6", 15.1]
     assert rows["mpm †"] == [4.0, 5.0, 6.0, 5.0, "5 of 6", 31.37]
     assert rows["constant normal"][-1] is None
+
+    fast = readings["fast"](setting, "")
+    assert fast["columns"] == ["", *lit[:3], "mean", "sets"]
+    assert fast["rows"][1] == ["UniPS with `--fast`", 1.3, 2.1, 3.1, 2.17, "6 of 6"]
 
     assert readings["diligent"](setting, "") == {
         "columns": ["", "ball", "mean"],
