@@ -66,8 +66,8 @@ def test_a_run_goes_on_with_fewer_devices(single, eight, tmp_path):
     """On eight that split the parameters, then two, then one."""
     config, whole = single
     shutil.copytree(eight / "checkpoints" / "2", tmp_path / "checkpoints" / "2")
-    told = finish(start(tmp_path, altered(config, fsdp=2, steps=4), "2"))
-    assert "going on after step 2" in told
+    printed = finish(start(tmp_path, altered(config, fsdp=2, steps=4), "2"))
+    assert "going on after step 2" in printed
     assert "going on after step 4" in trained(tmp_path, config)
     assert_close(final_params(tmp_path), final_params(whole))
 
@@ -84,8 +84,8 @@ def test_two_hosts_begin_and_one_goes_on(single, tmp_path):
         assert process.returncode == 0
     assert [path.name for path in (workdir / "checkpoints").iterdir()] == ["3"]
     mesh = dataclasses.replace(config.mesh, microbatches=2)
-    told = trained(workdir, dataclasses.replace(config, mesh=mesh))
-    assert "going on after step 3" in told
+    printed = trained(workdir, dataclasses.replace(config, mesh=mesh))
+    assert "going on after step 3" in printed
     assert_close(final_params(workdir), final_params(whole))
 
 
@@ -98,8 +98,8 @@ def test_two_processes_give_a_damaged_checkpoint_up_together(single, tmp_path):
         finish(process)
     newest, before = (tmp_path / "checkpoints" / step for step in ("5", "4"))
     flip_a_bit(largest_file(newest), 0.3)
-    told = [finish(process) for process in start_pair(tmp_path, config)]
-    assert [text.count("going on from checkpoint 4") for text in told] == [1, 0]
+    printed = [finish(process) for process in start_pair(tmp_path, config)]
+    assert [text.count("going on from checkpoint 4") for text in printed] == [1, 0]
     assert_close(final_params(tmp_path), final_params(whole))
     for folder in (newest, before):
         flip_a_bit(largest_file(folder), 0.3)

@@ -109,8 +109,8 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(
         whole = tmp_path / "whole"
         trained(whole, config)
     kill_while_writing(workdir, config, complete=1)
-    told = trained(workdir, config)
-    assert "damaged" not in told and "going on after step" in told
+    printed = trained(workdir, config)
+    assert "damaged" not in printed and "going on after step" in printed
     assert_same_end(workdir, whole)
 
 
@@ -130,8 +130,8 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(uninterrupted, tmp_pat
     shutil.copytree(whole, workdir)
     newest = workdir / "checkpoints" / "40"
     flip_a_bit(largest_file(newest), 0.3)
-    told = trained(workdir, config)
-    assert told.count("damaged (") == 1 and "going on from checkpoint 39" in told
+    printed = trained(workdir, config)
+    assert printed.count("damaged (") == 1 and "going on from checkpoint 39" in printed
     assert newest.with_name("40.damaged").is_dir()
     assert_same_end(workdir, whole)
 
@@ -159,13 +159,13 @@ def test_sigterm_saves_and_shows_in_the_exit_status(uninterrupted, tmp_path):
     while process.poll() is None and not (log.exists() and log.read_text()):
         time.sleep(0.05)
     process.terminate()
-    _, told = process.communicate(timeout=600)
-    assert process.returncode == 143, told
-    assert "stopped by SIGTERM" in told
+    _, printed = process.communicate(timeout=600)
+    assert process.returncode == 143, printed
+    assert "stopped by SIGTERM" in printed
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] != []
-    first, *others = re.findall(r"step +(\d+)/100000  .* s/step, .* left", told)
+    first, *others = re.findall(r"step +(\d+)/100000  .* s/step, .* left", printed)
     assert (first, others[:1]) == ("1", ["2"])
-    assert re.search(r"compiled in \d+ (s|min)\n", told)
+    assert re.search(r"compiled in \d+ (s|min)\n", printed)
 
 
 @pytest.mark.slow

@@ -11,12 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from plain_objects import ellipse_photographs
-from small_networks import (
-    SHALLOW,
-    SHALLOW_OURS,
-    SMALL,
-    lively_network,
-)
+from small_networks import SHALLOW, SHALLOW_OURS, SMALL, lively_network
 
 from unips_jax import estimate_normals
 from unips_jax.estimation import pure
