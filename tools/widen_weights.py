@@ -1,19 +1,23 @@
 """Widens the shipped weights: twice the channels, almost the same function.
 
     python tools/widen_weights.py tiny -o small-begin.safetensors
+    python tools/widen_weights.py tiny --consensus -o long-begin.safetensors
 
-A run of `configs/small.py` begins from the result (`--init-weights`). Every channel
-becomes two that carry the same; a kernel's rows for the two sum to what the one row
-was. They differ by random numbers, so that training tells the two channels apart.
-Windows and the encoder's images become those of `ModelConfig.small`, tables of relative
-positions are stretched linearly. What differs at first is the larger image, and the
-weight of a pixel's three colours in one LayerNorm.
+A run of `configs/small.py` begins from the first, one of `configs/long.py` from the
+second (`--init-weights`). Every channel becomes two that carry the same; a kernel's
+rows for the two sum to what the one row was. They differ by random numbers, so that
+training tells the two channels apart. With `--consensus` these are the channels of
+`models.consensus`, and the network is the same function. Without, all double, windows
+and the encoder's images become those of `ModelConfig.small`, tables of relative
+positions are stretched linearly. What differs then is the larger image, and the weight
+of a pixel's three colours in one LayerNorm.
 
 Source: Samragh et al., "Scaling Smart: Accelerating Large Language Model Pre-training
 with Small Model Initialization", 2024.
 """
 
 import argparse
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,7 +27,7 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 
 from unips_jax.console import command
 from unips_jax.errors import InputError
-from unips_jax.models.config import ModelConfig
+from unips_jax.models.config import ModelConfig, SelfCalibratingConfig
 from unips_jax.models.network import Params, UniversalNetwork, param_shapes
 from unips_jax.weights import load_weights, save_weights, weights_record
 
@@ -34,22 +38,29 @@ _SPREAD = 0.5
 Part = tuple[int, bool]
 
 
-def _parts_in(layer: str, size: int, width: int) -> list[Part]:
+# What reads the contexts in the consensus, and what changes them.
+_READS_CONTEXTS = ("norm_contexts", "each", "pooled", "whole")
+_CHANGES_CONTEXTS = ("change_shape", "change_light")
+
+
+def _parts_in(layer: str, size: int, width: int | None) -> list[Part]:
     """What an input's channels are made of: pixels' values, or features in rows.
 
     Args:
         layer: path of the layer.
         size: channels.
-        width: channels of the contexts.
+        width: channels of the contexts; None where these do not double.
     """
     name = layer.rsplit(".", 1)[-1]
+    if width is None and name in _READS_CONTEXTS:
+        return [(size, False)]
     if name in ("conv0", "place") or layer.endswith("observation.embed"):
         return [(size, False)]
-    if "layer0." in layer and size == 3 + width:
+    if "layer0." in layer and width and size == 3 + width:
         return [(3, False), (width, True)]
-    if name == "fpn_bottleneck":
+    if name == "fpn_bottleneck" and width:
         return [(width, True)] * (size // width)
-    if name == "ppm_bottleneck":
+    if name == "ppm_bottleneck" and width:
         return [(size - 2 * width, True), (width, True), (width, True)]
     if "merging" in layer:
         return [(size // 4, True)] * 4
@@ -58,9 +69,11 @@ def _parts_in(layer: str, size: int, width: int) -> list[Part]:
     return [(size, True)]
 
 
-def _parts_out(layer: str, size: int) -> list[Part]:
-    """What an output's channels are made of."""
+def _parts_out(layer: str, size: int, width: int | None) -> list[Part]:
+    """What an output's channels are made of; arguments as in `_parts_in`."""
     name = layer.rsplit(".", 1)[-1]
+    if width is None and name in _CHANGES_CONTEXTS:
+        return [(size, False)]
     if name in ("normals", "lights") or layer.endswith("prediction.fc2"):
         return [(size, False)]
     count = {"qkv": 3, "known": 2, "change": 2}.get(name, 1)
@@ -118,8 +131,24 @@ def widen(params: Params, width: int, window: int, seed: int = 0) -> Params:
     return unflatten_dict(wide, sep=".")
 
 
+def widen_consensus(params: Params, seed: int = 0) -> Params:
+    """The parameters of the same network with a consensus twice as wide."""
+    random = np.random.default_rng(seed)
+    wide = {
+        name: _widen(name, np.asarray(value), None, 0, random)
+        if ".consensus." in name
+        else value
+        for name, value in flatten_dict(params, sep=".").items()
+    }
+    return unflatten_dict(wide, sep=".")
+
+
 def _widen(
-    name: str, value: np.ndarray, width: int, window: int, random: np.random.Generator
+    name: str,
+    value: np.ndarray,
+    width: int | None,
+    window: int,
+    random: np.random.Generator,
 ) -> np.ndarray:
     """One parameter of the wide network; `name` is its path, `value` the narrow one."""
     layer, kind = name.rsplit(".", 1)
@@ -130,11 +159,30 @@ def _widen(
         return np.tile(square.reshape(-1, value.shape[1]), 2)
     if kind == "kernel":
         rows = _parts_in(layer, value.shape[-2], width)
-        return _widen_kernel(value, rows, _parts_out(layer, value.shape[-1]), random)
+        columns = _parts_out(layer, value.shape[-1], width)
+        return _widen_kernel(value, rows, columns, random)
     size, name = value.shape[-1], layer.rsplit(".", 1)[-1]
     norm = name.startswith("norm") and name != "normals"
-    parts = _parts_in(layer, size, width) if norm else _parts_out(layer, size)
+    parts = (_parts_in if norm else _parts_out)(layer, size, width)
     return value[..., _index(parts)[0]]
+
+
+def _widened(narrow: UniversalNetwork, consensus: bool, seed: int) -> UniversalNetwork:
+    """The wide network; `InputError` says what was expected of the narrow one."""
+    config = narrow.config
+    if not consensus:
+        small = ModelConfig.small()
+        wide = widen(narrow.params, config.context_dim, small.window_size, seed)
+        shapes = {name: x.shape for name, x in flatten_dict(wide, sep=".").items()}
+        if shapes != param_shapes(small):
+            raise InputError("weights half as wide as `small`")
+        return UniversalNetwork(small, wide)
+    if not isinstance(config, SelfCalibratingConfig) or (
+        config.light_tokens or config.known_lights
+    ):
+        raise InputError("our network without light_tokens and known_lights")
+    wider = dataclasses.replace(config, consensus_dim=2 * config.consensus_dim)
+    return UniversalNetwork(wider, widen_consensus(narrow.params, seed))
 
 
 @command
@@ -145,19 +193,17 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("weights", help="shipped name or file of narrow weights")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
+    parser.add_argument("--consensus", action="store_true", help="only its channels")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
-    narrow, target = load_weights(arguments.weights), ModelConfig.small()
-    width = narrow.config.context_dim
-    wide = widen(narrow.params, width, target.window_size, arguments.seed)
-    shapes = {name: x.shape for name, x in flatten_dict(wide, sep=".").items()}
-    if shapes != param_shapes(target):
-        raise InputError(
-            f"{arguments.weights}: expected weights half as wide as `small`, such as "
-            "tiny"
-        )
+    narrow = load_weights(arguments.weights)
+    try:
+        wide = _widened(narrow, arguments.consensus, arguments.seed)
+    except InputError as error:
+        message = f"{arguments.weights}: expected {error}, such as tiny, got others"
+        raise InputError(message) from None
     record = {"widened": weights_record(arguments.weights)["hash"]}
-    save_weights(arguments.output, UniversalNetwork(target, wide), record=record)
+    save_weights(arguments.output, wide, record=record)
     print(f"wrote {arguments.output}")
 
 

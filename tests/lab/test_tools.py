@@ -17,6 +17,7 @@ from unips_jax import estimate_normals
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.models.network import EncoderDecoder, param_shapes
 from unips_jax.models.released import from_official
+from unips_jax.models.self_calibrating import Encoder
 from unips_jax.weights import load_weights, random_weights, save_weights, weights_record
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
@@ -289,6 +290,30 @@ def test_widened_networks_are_the_same_function():
     # Twins differ in their rows.
     kernel = made["decoder"]["prediction"]["fc1"]["kernel"]
     assert np.abs(kernel[:12] - kernel[12:]).min() > 0
+
+
+def test_a_consensus_twice_as_wide_is_the_same_function():
+    widen = runpy.run_path(str(TOOLS / "widen_weights.py"))["widen_consensus"]
+    wide = dataclasses.replace(SMALL_OURS, consensus_dim=2 * SMALL_OURS.consensus_dim)
+    params = lively_weights(SMALL_OURS)
+    made = widen(params)
+    shapes = {name: x.shape for name, x in flatten_dict(made, sep=".").items()}
+    assert shapes == param_shapes(wide)
+    images = jax.random.uniform(jax.random.key(0), (3, 16, 16, 4))
+    before, made_of = (
+        jax.jit(Encoder(config).apply)({"params": x["encoder"]}, images)
+        for config, x in ((SMALL_OURS, params), (wide, made))
+    )
+    for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(made_of), strict=True):
+        np.testing.assert_allclose(new, old, atol=1e-5)
+    # The consensus does change the contexts, and twins differ in their rows.
+    still = jax.tree.map(lambda x: 0.0 * x, params["encoder"]["consensus"])
+    without = {"params": {**params["encoder"], "consensus": still}}
+    contexts = jax.jit(Encoder(SMALL_OURS).apply)(without, images).contexts
+    assert np.abs(contexts - before.contexts).max() > 0.05
+    twins = made["encoder"]["consensus"]["from_light"]["kernel"]
+    width = SMALL_OURS.consensus_dim
+    assert np.abs(twins[:width] - twins[width:]).min() > 0
 
 
 def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
