@@ -1,6 +1,5 @@
 r"""What further parts and losses gain, from the shipped weights: one arm of four.
 
-    export MALLOC_ARENA_MAX=1 MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=-1
     unips train --config ablation --init-weights tiny --workdir runs/nothing
     unips train --config ablation --init-weights tiny --workdir runs/fine \
         --model.fine-dim 32

@@ -1,6 +1,5 @@
 r"""The shipped weights, made better at one thing: one hour on two CPU cores.
 
-    export MALLOC_ARENA_MAX=1 MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=-1
     unips train --config finetune --init-weights tiny --workdir runs/metal
 
 On objects of yours, folders as PS-Wild has them (`docs/true-normals.md`), a third of

@@ -1,19 +1,20 @@
 r"""The long run: rich scenes at a constant rate, until nothing more is gained.
 
     python tools/fetch_assets.py assets --shapes
-    unips train --config long --workdir runs/long --init-weights tiny
+    python tools/widen_weights.py tiny --consensus -o runs/long-begin.safetensors
+    unips train --config long --workdir runs/long \
+        --init-weights runs/long-begin.safetensors
 
-What: `tiny` from its weights, on scenes of which a third are meshes by others and a
-third lie in photographed environments, with light that bounces from what is near,
-paint, carvings, spotted metal, and borders that mix with a background in 30 % (masks
-are learnt). Of three sets in ten the network is given the lights, roughly or exactly.
-Images of 192 x 192 show detail finer than the encoder's own. The parts and losses that
-gain (`configs/ablation.py`) are options as in the ablation. A fork that falls
-shows what a checkpoint is worth: copy the folder, and go on in it with
+What: `tiny` from its weights, with a consensus twice as wide, tokens for kinds of light
+and known lights, on scenes of which a third are meshes by others and a third lie in
+photographed environments, with light that bounces from what is near, paint, carvings,
+spotted metal, and borders that mix with a background in 30 % (masks are learnt). Of
+three sets in ten the network is given the lights, roughly or exactly. Images of
+192 x 192: as large as objects in photographs, nearly. A fork that falls shows what a
+checkpoint is worth: copy the folder, and go on in it with
 `--train.steps N --optim.fall-steps 400`.
-Its scenes cost 0.125 CPU seconds an object (128 x 128, eight images), those of `tiny`
-0.090.
-Hardware: two CPU cores, over as many sittings as it takes. Time and score: none yet.
+Hardware: two CPU cores, over as many sittings as it takes. Time: 6.5 s a step.
+Score: none yet (`docs/history/tiny.md` has the forks').
 """
 
 import dataclasses
@@ -31,7 +32,9 @@ def get_config() -> Config:
     tiny = runpy.run_path(str(Path(__file__).with_name("tiny.py")))["get_config"]()
     return dataclasses.replace(
         tiny,
-        model=dataclasses.replace(tiny.model, known_lights=True),
+        model=dataclasses.replace(
+            tiny.model, consensus_dim=256, light_tokens=True, known_lights=True
+        ),
         data=dataclasses.replace(tiny.data, image_size=192, known_lights_rate=0.3),
         scenes=SceneConfig(
             light_weights=(0.25, 0.34, 0.25, 0.08, 0.08),

@@ -1,9 +1,6 @@
 r"""The embedded default: small enough to train on two CPU cores.
 
-    export MALLOC_ARENA_MAX=1 MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=-1
     unips train --config tiny --workdir runs/tiny
-
-(with the first line, which is for Linux, a step takes a third less time.)
 
 What: 6.9 M parameters, on endless scenes made on the device: a mixture with more
 environments, metals, machines and plates than `SceneConfig` draws, borders that mix

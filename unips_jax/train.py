@@ -68,13 +68,26 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     import jax
 
-    from unips_jax.training.loop import train
-
     if options.distributed:
         jax.distributed.initialize()
     start_jax()
+
+    from unips_jax.training.restarts import Restarts
+
+    restarts = Restarts(sys.argv[1:] if argv is None else argv)
+    restarts.with_settings()
+
+    from unips_jax.training.loop import train
+
     start = time.monotonic()
-    state = train(options.fields, options.workdir, init_weights=options.init_weights)
+    state = train(
+        options.fields,
+        options.workdir,
+        init_weights=options.init_weights,
+        restarts=restarts,
+    )
+    if restarts.due:
+        restarts.start()
     minutes = (time.monotonic() - start) / 60
     print(f"step {int(state.step)} after {minutes:.1f} minutes: {options.workdir}")
     if int(state.step) < options.fields.train.steps:

@@ -8,8 +8,6 @@ import dataclasses
 import functools
 import json
 import math
-import os
-import platform
 import threading
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +25,7 @@ from unips_jax.training.checkpoints import Checkpoints
 from unips_jax.training.compilation import compile_together
 from unips_jax.training.config import Config, TrainConfig
 from unips_jax.training.log import TrainLog, say
+from unips_jax.training.restarts import Restarts
 from unips_jax.training.safety import (
     alone_in,
     any_process,
@@ -42,10 +41,6 @@ from unips_jax.training.tracking import Sink
 from unips_jax.training.validation import score_table, validate, validation_pictures
 from unips_jax.weights import load_weights, save_weights
 
-# glibc gives large buffers back to the system at every call, which clears every page
-# again: 12.6 CPU seconds a step of `tiny` for 8.2. Read when a process starts.
-_MALLOC = "MALLOC_MMAP_MAX_"
-_KEEP_MEMORY = f"MALLOC_ARENA_MAX=1 {_MALLOC}=0 MALLOC_TRIM_THRESHOLD_=-1"
 # Fields of a network that do not change what its parameters mean.
 _SAME_PARAMETERS = {"remat", "dtype", "dropout_rate", "drop_path_rate"}
 # Fields that add parts to a network without a change to what it gives at first.
@@ -58,13 +53,14 @@ def train(
     *,
     init_weights: str | None = None,
     sink: Sink | None = None,
+    restarts: Restarts | None = None,
 ) -> TrainState:
     """Trains, from nothing or from the newest checkpoint in `workdir`.
 
     Writes `checkpoints/`, `metrics.jsonl`, `best.safetensors` at every validation that
     improves, and `last.safetensors` at the end. A new run starts from `init_weights`,
-    where they are given. Returns the state after the last step, or at SIGTERM to any of
-    the processes.
+    where they are given. Returns the state after the last step, at SIGTERM to any of
+    the processes, or, with `restarts`, where the process is to start again.
 
     Raises:
         InputError: if the folder holds a run with another configuration (other than
@@ -78,12 +74,6 @@ def train(
     make_folder(workdir, "--workdir")
     kind = mesh.devices.flat[0].device_kind
     say(f"training in {workdir}, {config.train.steps} steps, on {mesh.size} x {kind}")
-    if (
-        kind == "cpu"
-        and platform.libc_ver()[0] == "glibc"
-        and _MALLOC not in os.environ
-    ):
-        say(f"(steps on CPU take a third less time with {_KEEP_MEMORY} in front)")
     key = jax.random.key(config.train.seed)
     init_key, scene_key, step_key = jax.random.split(key, 3)
     abstract = _abstract_state(config, init_key, mesh)
@@ -105,6 +95,7 @@ def train(
         log = TrainLog(workdir, first, steps, every=every, pending=unlogged, sink=sink)
         run_step = compile_together(_jitted_step(config, abstract, mesh), log.compiling)
         batches = make_batches(config, scene_key, mesh, first, log.compiling)
+        sizes: set[int] = set()
         unchecked: tuple[int, Batch, dict[str, jax.Array]] | None = None
         for step in range(first + 1, steps + 1):
             batch = next(batches)
@@ -114,7 +105,14 @@ def train(
             unchecked = (step, batch, metrics)
             checkpoints.check()
             log.step(step, metrics)
-            due = _due(step, config.train, stop)
+            sizes.add(batch["images"].shape[1])
+            fresh = (
+                restarts is not None
+                and not stop.is_set()
+                and sizes == set(config.data.num_images)
+                and restarts.compiled_all(steps - step)
+            )
+            due = _due(step, config.train, stop, fresh)
             if due.validation or due.checkpoint:
                 check_finite(*unchecked, workdir)
             if due.validation:
@@ -125,7 +123,11 @@ def train(
             if due.checkpoint:
                 checkpoints.save(step, state, {**record, "unlogged": log.pending()})
             if due.stop:
-                say(f"stopped by SIGTERM after step {step}; checkpoint saved")
+                say(
+                    f"starting again after step {step}: steps then take less time"
+                    if fresh
+                    else f"stopped by SIGTERM after step {step}; checkpoint saved"
+                )
                 break
     network = UniversalNetwork(config.model, to_host(state.released_params()))
     _write_weights(workdir / "last.safetensors", config, network, int(state.step), {})
@@ -140,12 +142,14 @@ class _Due(NamedTuple):
     stop: bool
 
 
-def _due(step: int, train: TrainConfig, stop: threading.Event) -> _Due:
+def _due(
+    step: int, train: TrainConfig, stop: threading.Event, restart: bool = False
+) -> _Due:
     done = step == train.steps
     # All processes stop after the same step. They agree on it where they wait for the
     # device anyway.
     agrees = jax.process_count() == 1 or step % train.log_every == 0
-    stopping = agrees and any_process(stop.is_set())
+    stopping = restart or (agrees and any_process(stop.is_set()))
     return _Due(
         validation=done or step % train.validate_every == 0,
         checkpoint=done or stopping or step % train.checkpoint_every == 0,
