@@ -323,6 +323,12 @@ def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
     assert main([str(tmp_path / "own.safetensors"), "-o", str(output)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "half as wide as `small`" in error
+    tokens = dataclasses.replace(SMALL_OURS, light_tokens=True)
+    save_weights(tmp_path / "own.safetensors", lively_network(tokens))
+    own = str(tmp_path / "own.safetensors")
+    assert main([own, "--consensus", "-o", str(output)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "without light_tokens" in error
     assert not output.exists()
 
 
