@@ -8,7 +8,22 @@ import cv2
 import numpy as np
 import OpenEXR
 
-HEIGHT, WIDTH = 23, 37
+from unips_jax.io.images import read_image_file
+
+SIZE = HEIGHT, WIDTH = 23, 37
+
+
+def noise(dtype, channels, *, seed=0, top=None):
+    rng = np.random.default_rng(seed)
+    if np.dtype(dtype).kind == "f":
+        return rng.random((*SIZE, channels)).astype(dtype)
+    top = np.iinfo(dtype).max if top is None else top
+    return rng.integers(0, top + 1, (*SIZE, channels)).astype(dtype)
+
+
+def read(path, data):
+    path.write_bytes(data)
+    return read_image_file(path)
 
 
 def smooth(dtype, seed=0, height=HEIGHT, width=WIDTH):

@@ -7,36 +7,18 @@ import re
 import cv2
 import numpy as np
 import pytest
+from capture_checks import STRIPES, check, moved
 from estimate_runs import run
 from picture_files import with_orientation
 from PIL import Image
 from plain_objects import PLAIN, lights, photographs
 
-from unips_jax.capture.check import check_capture
 from unips_jax.capture.folder import check_photographs
 from unips_jax.capture.light import look_at_light, rough_lights
-from unips_jax.capture.motion import find_motion
-from unips_jax.capture.registration import register
 from unips_jax.cli import main as cli
 from unips_jax.cli.demo import SAMPLE
-from unips_jax.io.photographs import Capture, read_capture
+from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
-
-STRIPES = {"second": (0.25, 0.2, 0.1), "background": 0.02}
-
-
-def check(images, mask, transfer="srgb", rule="8-bit values", **told):
-    capture = Capture(images, mask, transfer, rule, **told)
-    return check_capture(capture, [f"{i}.png" for i in range(len(images))])
-
-
-def moved(image, right, down, turn=0.0):
-    height, width = image.shape[:2]
-    matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, 1.0)
-    matrix[:, 2] += right, down
-    return cv2.warpAffine(
-        image, matrix, (width, height), flags=3, borderMode=cv2.BORDER_REFLECT
-    )
 
 
 @pytest.mark.parametrize("name", PLAIN)
@@ -88,122 +70,6 @@ def test_real_photographs_and_the_sample_pass(shared_dir):
         selection = select(folder)
         report = check_photographs(selection)
         assert report.findings == () and report.capture is not None
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_photographs_that_moved(known):
-    images, mask = photographs(5, **STRIPES)
-    images[2] = moved(images[2], 7.3, -4.6)
-    images[6] = moved(images[6], -30, 18)
-    motion = find_motion(images, mask if known else None)
-    assert np.flatnonzero(motion.moved).tolist() == [2, 6]
-    np.testing.assert_allclose(motion.offsets[2], [7.3, -4.6], atol=0.6)
-    np.testing.assert_allclose(motion.offsets[6], [-30, 18], atol=0.6)
-    (finding,) = check(images, mask)
-    assert re.match("moved: 2.png [89], 6.png 35 pixels from where", finding.text)
-    assert finding.kind == "moved" and finding.files == ("2.png", "6.png")
-    assert finding.figures["6.png"] == pytest.approx(35, abs=1)
-
-
-def test_all_photographs_by_hand():
-    images, mask = photographs(6, **STRIPES)
-    places = np.random.default_rng(3).uniform(-12, 12, (8, 2))
-    images = np.stack([moved(i, *p) for i, p in zip(images, places, strict=True)])
-    motion = find_motion(images)
-    expected = places - places[motion.reference]
-    np.testing.assert_allclose(motion.offsets, expected, atol=0.7)
-
-
-def test_a_moving_pool_of_light_and_highlights_are_no_movement():
-    y, x = np.mgrid[:120, :160]
-    pools = [
-        np.exp(-(np.hypot(x - 80 - 40 * np.cos(a), y - 60 - 30 * np.sin(a)) ** 2) / 900)
-        for a in np.arange(8) * 0.785
-    ]
-    images = np.repeat((25 + 200 * np.array(pools))[..., None], 3, -1).astype(np.uint8)
-    assert not find_motion(images).moved.any()
-    images, mask = photographs(7, gloss=4.0, albedo=(0.3,) * 3)
-    assert not find_motion(images, mask).moved.any()
-
-
-def sphere(seed, gloss):
-    """Photographs of a sphere without any texture, on black, one lamp each."""
-    rng = np.random.default_rng(seed)
-    height, width = 120, 140
-    y, x = np.mgrid[:height, :width]
-    radius = rng.uniform(0.3, 0.42) * height
-    u = (x - width * rng.uniform(0.45, 0.55)) / radius
-    v = -(y - height * rng.uniform(0.45, 0.55)) / radius
-    mask = u * u + v * v < 1
-    normals = np.stack([u, v, np.sqrt(np.maximum(1 - u * u - v * v, 0))], axis=-1)
-    normals *= mask[..., None]
-    images = []
-    for light in lights(8, rng.uniform(0, 360, 8), rng.uniform(30, 60)):
-        half = light + [0, 0, 1]
-        shine = np.maximum(normals @ (half / np.linalg.norm(half)), 0) ** 40
-        light = np.maximum(normals @ light, 0) + gloss * shine
-        noise = 0.005 * rng.standard_normal(mask.shape) * np.sqrt(light + 0.01)
-        levels = np.rint(65535 * np.clip(0.8 * light + noise, 0, 1))
-        images.append(np.repeat(levels[..., None], 3, axis=-1).astype(np.uint16))
-    return np.stack(images), mask
-
-
-@pytest.mark.parametrize("seed", [0, 5, 28])
-def test_shading_is_not_movement(seed):
-    images, mask = sphere(seed, gloss=0.5 * (seed % 2))
-    assert not find_motion(images, mask).moved.any()
-    assert not find_motion(images).moved.any()
-
-
-BACKDROPS = {
-    "stripes": STRIPES,
-    "plain": {},
-    "glossy": {"albedo": (0.25, 0.2, 0.2), "gloss": 3.0, "background": 0.005},
-    "grey": {"albedo": (0.8,) * 3, "background": 0.12, "vignette": 0.8},
-    "sphere": None,
-}
-
-
-@pytest.mark.parametrize("name", BACKDROPS)
-def test_shifts_of_three_pixels(name):
-    """At least 19 of 20 are found, and still photographs are silent."""
-    found = 0
-    for seed in range(40, 60):
-        options = BACKDROPS[name]
-        images, mask = (
-            sphere(seed, gloss=0.5 * (seed % 2))
-            if options is None
-            else photographs(seed, size=(150, 170), **options)
-        )
-        if seed % 4 == 0:
-            assert not find_motion(images, mask).moved.any()
-        angle, which = 40 * seed, seed % 8
-        shift = 3 * np.cos(angle), 3 * np.sin(angle)
-        images[which] = moved(images[which], *shift)
-        motion = find_motion(images, mask)
-        right = np.flatnonzero(motion.moved).tolist() == [which]
-        found += right and np.hypot(*(motion.offsets[which] - shift)) < 1
-    assert found >= 19
-
-
-def test_registration_undoes_shifts_and_turns():
-    still, _ = photographs(8, size=(360, 440), **STRIPES)
-    images = still.copy()
-    images[3] = moved(images[3], 6.4, -9.7, 1.2)
-    images[5] = moved(images[5], -20.5, 3.2)
-    back, valid, maps = register(images, find_motion(images))
-    turn = np.degrees(np.arctan2(maps[3][0, 1], maps[3][0, 0]))
-    assert turn == pytest.approx(1.2, abs=0.15)
-    np.testing.assert_allclose(maps[5][:, 2], [-20.5, 3.2], atol=0.3)
-    assert valid.mean() > 0.85 and back.dtype == np.uint8
-    for index, share in ((3, 0.3), (5, 0.3)):
-        before, after = (
-            np.abs(stack[index].astype(float) - still[index])[valid].mean()
-            for stack in (images, back)
-        )
-        assert after < share * before
-    for index in (0, 1, 2, 4, 6, 7):
-        np.testing.assert_array_equal(back[index], images[index])
 
 
 def test_exposure_focus_and_duplicates():

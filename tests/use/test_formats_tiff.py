@@ -1,0 +1,131 @@
+"""TIFF files, as cameras and programs write them."""
+
+import itertools
+
+import numpy as np
+import pytest
+from picture_files import noise, read, smooth
+from tiff_writer import COMPRESSIONS, tiff
+
+from unips_jax.errors import InputError
+
+# Samples of a pixel: how many colours, and what other kinds there are.
+SAMPLES = {
+    "grey": (1, ()),
+    "grey, alpha": (1, (2,)),
+    "rgb": (3, ()),
+    "rgb, unassociated alpha": (3, (2,)),
+    "rgb, associated alpha": (3, (1,)),
+    "rgb, unspecified": (3, (0,)),
+}
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize(
+    "dtype", [np.uint8, np.uint16, np.float16, np.float32, np.float64]
+)
+def test_tiffs(tmp_path, dtype, compression):
+    for planar, order, tile, kind, predictor in itertools.product(
+        (False, True), "<>", (0, 16), SAMPLES, (False, True)
+    ):
+        if predictor and (np.dtype(dtype).kind == "f" or compression == "none"):
+            continue
+        colours, extra = SAMPLES[kind]
+        pixels = noise(dtype, colours + len(extra))
+        layout = {"planar": planar, "tile": tile, "predictor": predictor}
+        layout |= {"compression": compression, "extra": extra}
+        file = read(tmp_path / "a.tif", tiff([{"pixels": pixels, **layout}], order))
+        expected = pixels.astype(np.float32) if pixels.dtype.kind == "f" else pixels
+        cell = (layout, order, kind)
+        assert file.pixels.dtype == expected.dtype, cell
+        np.testing.assert_array_equal(file.pixels, expected[..., :colours], str(cell))
+        if extra:
+            np.testing.assert_array_equal(file.alpha, expected[..., -1], str(cell))
+        else:
+            assert file.alpha is None
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4])
+@pytest.mark.parametrize("white_is_zero", [False, True])
+def test_tiffs_of_few_bits(tmp_path, bits, white_is_zero):
+    pixels = noise(np.uint8, 1, top=2**bits - 1)
+    arguments = {"pixels": pixels, "bits": bits, "photometric": 1 - white_is_zero}
+    file = read(tmp_path / "a.tif", tiff([arguments]))
+    full = pixels * np.uint8(255 // (2**bits - 1))
+    np.testing.assert_array_equal(file.pixels, 255 - full if white_is_zero else full)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("extra", [(), (2,)])
+def test_white_may_be_zero(tmp_path, dtype, extra):
+    pixels = noise(dtype, 1 + len(extra))
+    arguments = {"pixels": pixels, "photometric": 0, "extra": extra}
+    file = read(tmp_path / "a.tif", tiff([arguments]))
+    np.testing.assert_array_equal(file.pixels, np.iinfo(dtype).max - pixels[..., :1])
+    if extra:
+        np.testing.assert_array_equal(file.alpha, pixels[..., 1])
+
+
+@pytest.mark.parametrize("bits", [4, 8])
+def test_palettes(tmp_path, bits):
+    table = np.random.default_rng(1).integers(0, 65536, (3, 2**bits))
+    index = noise(np.uint8, 1, top=2**bits - 1)
+    tags = {320: (3, table.ravel().tolist())}
+    arguments = {"pixels": index, "bits": bits, "photometric": 3, "tags": tags}
+    file = read(tmp_path / "a.tif", tiff([arguments]))
+    np.testing.assert_array_equal(file.pixels, table.T[index[..., 0]] >> 8)
+
+
+def test_previews_and_masks_are_no_photographs(tmp_path):
+    pixels = noise(np.uint16, 3)
+    preview = {"pixels": noise(np.uint8, 3)[:5, :9], "tags": {254: (4, [1])}}
+    mask = {
+        "pixels": noise(np.uint8, 1, top=1),
+        "bits": 1,
+        "photometric": 4,
+        "tags": {254: (4, [4])},
+    }
+    old = {"pixels": noise(np.uint8, 3)[:5, :9], "tags": {255: (3, [2])}}
+    for pages in ([preview, {"pixels": pixels}], [{"pixels": pixels}, old, mask]):
+        file = read(tmp_path / "a.tif", tiff(pages))
+        np.testing.assert_array_equal(file.pixels, pixels)
+    for pages, name in (([preview], "previews only"), ([{"pixels": pixels}] * 3, "3")):
+        with pytest.raises(InputError, match=rf"got a TIFF .*{name}"):
+            read(tmp_path / "a.tif", tiff(pages))
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"pixels": noise(np.uint32, 1)}, "32-bit samples"),
+        ({"pixels": noise(np.int16, 1), "form": 2}, "16-bit signed samples"),
+        ({"pixels": noise(np.uint8, 4), "photometric": 5}, "SEPARATED colours"),
+        ({"pixels": noise(np.uint8, 3), "photometric": 6}, "YCBCR colours"),
+        ({"pixels": noise(np.uint8, 3), "photometric": 8}, "CIELAB colours"),
+        ({"pixels": noise(np.uint16, 1), "photometric": 32803}, "camera's raw file"),
+        ({"pixels": noise(np.uint8, 3), "compression": 7}, "JPEG compression"),
+        ({"pixels": noise(np.uint8, 3), "compression": 34712}, "compression"),
+        (
+            {"pixels": noise(np.uint8, 5), "photometric": 2, "extra": (0, 0)},
+            "5 samples",
+        ),
+        ({"pixels": noise(np.uint8, 2)}, "2 samples"),
+        ({"pixels": noise(np.float32, 1), "photometric": 0}, "zero is white"),
+        ({"pixels": noise(np.uint8, 1), "photometric": 3}, "without their colours"),
+    ],
+)
+def test_other_tiffs_are_named(tmp_path, changes, name):
+    with pytest.raises(InputError, match=rf"can be read, got .*{name}"):
+        read(tmp_path / "a.tif", tiff([changes]))
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("tile", [0, 16])
+def test_cut_and_altered_tiffs(tmp_path, compression, tile):
+    path = tmp_path / "a.tif"
+    data = tiff(
+        [{"pixels": smooth(np.uint8), "compression": compression, "tile": tile}]
+    )
+    for length in range(0, len(data) - 1, 97):
+        with pytest.raises(InputError, match=r"a\.tif: .*(empty|damaged)"):
+            read(path, data[:length])
