@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SHALLOW_OURS, lively_network
+from small_networks import SHALLOW, SHALLOW_OURS, lively_network
 
 from unips_jax.baselines.method import Lights, Observed, Unsupported
 from unips_jax.errors import InputError
@@ -71,7 +71,7 @@ def test_errors_of_lights_are_those_asked_for():
 def test_unips_is_given_the_lights_of_a_benchmark(tmp_path):
     knowing = lively_network(dataclasses.replace(SHALLOW_OURS, known_lights=True))
     save_weights(tmp_path / "knowing.safetensors", knowing)
-    save_weights(tmp_path / "other.safetensors", lively_network(SHALLOW_OURS))
+    save_weights(tmp_path / "other.safetensors", lively_network(SHALLOW))
     options = UnipsOptions([str(tmp_path / "knowing.safetensors")])
     (plain, _), (given, _), (roughly, _) = (
         load_variants([request], options)
@@ -89,7 +89,7 @@ def test_unips_is_given_the_lights_of_a_benchmark(tmp_path):
     with pytest.raises(Unsupported, match="needs known lights"):
         given.run(seen._replace(lights=None))
     others = UnipsOptions([str(tmp_path / "other.safetensors")])
-    with pytest.raises(InputError, match="expected weights of a network with"):
+    with pytest.raises(InputError, match="expected weights of a network that"):
         load_variants(["unips:lights=true"], others)
     for wrong in ("lights=95", "lights=no", "fast=1.5", "size=3"):
         with pytest.raises(InputError, match="expected fast=true, lights=true"):

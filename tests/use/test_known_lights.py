@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SHALLOW_OURS, lively_network, lively_weights
+from small_networks import SHALLOW, SHALLOW_OURS, lively_network, lively_weights
 
 from unips_jax.estimation.pure import estimate_normals
-from unips_jax.estimation.streaming import estimate_photographs
+from unips_jax.estimation.streaming import estimate_photographs, estimate_with_lights
+from unips_jax.models.known_lights import moved_to_known
 from unips_jax.models.network import UniversalNetwork
 
 KNOWING = dataclasses.replace(SHALLOW_OURS, known_lights=True)
@@ -83,5 +84,28 @@ def test_lights_that_do_not_fit_are_refused(photographs):
     with pytest.raises(ValueError, match=r"lights: expected \[N, 3\] = \(3, 3\)"):
         estimate_normals(network(), images, mask, lights=lights[:2])
     for estimate in (estimate_normals, estimate_photographs):
-        with pytest.raises(ValueError, match="expected weights of a network with"):
-            estimate(lively_network(SHALLOW_OURS), images, mask, lights=lights)
+        with pytest.raises(ValueError, match="a network that guesses lights, as the"):
+            estimate(lively_network(SHALLOW), images, mask, lights=lights)
+
+
+def test_a_guess_moves_as_far_as_the_error_does_not_explain():
+    lights = jnp.array([[0, 0, 1], [0, 0.6, 0.8], [0, 0, 1], [0, 0, 0.9], [0, 0, 0]])
+    guess = jnp.array(
+        [[0, 0.6, 0.8], [0, 0.6, 0.8], [0, 0.3, 0.4], [1, 0, 0], [1, 0, 0]]
+    )
+    moved = guess + moved_to_known(guess[None], lights[None])[0]
+    np.testing.assert_allclose(moved[0], lights[0], atol=2e-3)
+    for row in (1, 2, 4):  # the same, of mixed light, and unknown
+        np.testing.assert_allclose(moved[row], guess[row], atol=1e-6)
+    left = np.linalg.norm(np.array([0, 0, 1]) - moved[3])
+    np.testing.assert_allclose(left, 2 * np.sin(np.arccos(0.9) / 2), atol=1e-4)
+
+
+def test_guesses_of_any_of_our_networks_move_to_exact_lights(photographs):
+    images, mask, lights = photographs
+    plain = lively_network(SHALLOW_OURS)
+    guesses = estimate_with_lights(plain, images, mask).lights
+    assert (np.linalg.norm(guesses, axis=-1) > 1).all()
+    moved = estimate_with_lights(plain, images, mask, lights=lights).lights
+    moved = moved / np.linalg.norm(moved, axis=-1, keepdims=True)
+    np.testing.assert_allclose(moved, lights, atol=5e-3)

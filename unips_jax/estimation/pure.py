@@ -54,7 +54,7 @@ def estimate_normals(
             Where none counts, normals are zero.
         lights: `[N, 3]`, the lights that are known, towards each lamp (x right, y up, z
             towards the viewer). Lengths are how well: 1 exactly, else the cosine of the
-            error to expect, 0 not at all. For networks with `known_lights` only.
+            error to expect, 0 not at all. Not for the paper's network.
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
         uniform_contexts: an ablation, see `with_uniform_contexts`.
 

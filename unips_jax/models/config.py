@@ -288,8 +288,8 @@ class SelfCalibratingConfig(ModelConfig):
             fine, by images twice as large (see `models.fine`); 0: none.
         light_tokens: whether the consensus knows kinds of light, by a token for each
             (see `models.light_tokens`).
-        known_lights: whether lights that are known can be given with the images (see
-            `models.known_lights`).
+        known_lights: whether it learns to use lights that are given with the images;
+            its guesses move to them in any case (see `models.known_lights`).
     """
 
     antialias: ClassVar[bool] = True
@@ -334,9 +334,9 @@ class SelfCalibratingConfig(ModelConfig):
 def require_known_lights(config: ModelConfig) -> None:
     """Raises `ValueError` for a network that has no use for known lights."""
     require(
-        isinstance(config, SelfCalibratingConfig) and config.known_lights,
-        "lights: expected weights of a network with known_lights, got others; leave "
-        "the lights away or take other weights",
+        config.guesses,
+        "lights: expected weights of a network that guesses lights, as the shipped "
+        "ones, got the paper's; leave the lights out or take other weights",
     )
 
 

@@ -15,7 +15,7 @@ from jax.typing import DTypeLike
 
 from unips_jax.models import ops
 from unips_jax.models.encoding import Guesses
-from unips_jax.models.known_lights import KnownLights
+from unips_jax.models.known_lights import KnownLights, moved_to_known
 from unips_jax.models.light_tokens import LightTokens
 from unips_jax.models.set_attention import SAB, Dense, dense, layer_norm
 
@@ -67,15 +67,21 @@ class Consensus(nn.Module):
             [jnp.mean(normed, axis=2), ops.largest(normed, axis=2)], axis=-1
         )
         light = light + dense(self.features, self.dtype, "whole")(whole)
+        light = self._block("block_lights")(light, valid, True)
+        light = layer_norm(self.dtype, "norm_lights")(light)
         if self.known_lights:
             given = jnp.zeros((batch, images, 3)) if lights is None else lights
             light = light + KnownLights(self.features, self.dtype, name="given")(given)
-        light = self._block("block_lights")(light, valid, True)
-        light = layer_norm(self.dtype, "norm_lights")(light)
         kinds = None
         if self.light_tokens:
             tokens = LightTokens(self.features, self.dtype, name="tokens")
             light, kinds = tokens(related, light, valid)
+        guess = dense(3, self.dtype, "lights")
+        if lights is not None:
+            # The smallest change of the features that moves the guess as it should.
+            change = moved_to_known(guess(light), lights)
+            kernel = guess.variables["params"]["kernel"]
+            light = light + change @ jnp.linalg.pinv(kernel)
 
         from_light = dense(self.features, self.dtype, "from_light")(light)
         from_shape = dense(self.features, self.dtype, "from_shape")(shape)
@@ -90,7 +96,7 @@ class Consensus(nn.Module):
         normals = dense(3, self.dtype, "normals")(shape)
         guesses = Guesses(
             normals.reshape(batch, height, width, 3),
-            dense(3, self.dtype, "lights")(light),
+            guess(light),
             kinds,
         )
         cells = cells + self._change("change_shape", channels)(shape)[:, None]
