@@ -26,6 +26,7 @@ def normal_spread(
     *,
     transfer: Transfer = "linear",
     frame: FrameKind = "mask",
+    lights: np.ndarray | None = None,
     splits: int = 2,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
@@ -47,6 +48,7 @@ def normal_spread(
     for index, half in enumerate(halves):
         mirrored = index % 2 == 1
         step = -1 if mirrored else 1
+        turned = np.array([step, 1, 1], np.float32)
 
         def report(done: int, _: int, before: int = index * pixels) -> None:
             if progress is not None:
@@ -58,9 +60,10 @@ def normal_spread(
             mask[:, ::step],
             transfer=transfer,
             frame=frame,
+            lights=None if lights is None else lights[half] * turned,
             progress=report,
         )[:, ::step]
-        cosine = (found * normals * [step, 1, 1]).sum(-1)
+        cosine = (found * normals * turned).sum(-1)
         total += np.square(np.arccos(np.clip(cosine, -1, 1))) / len(halves)
     return np.where(mask, np.degrees(np.sqrt(total)), 0).astype(np.float32)
 

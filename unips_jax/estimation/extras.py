@@ -43,12 +43,13 @@ def estimate_extras(
     options: FolderOptions,
     *,
     rig: Lights | np.ndarray | None = None,
+    known: np.ndarray | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Extras:
     """Estimates lights and confidence, as far as the options want them.
 
     `found` is the estimate of `images [N, H, W, 3]`; `rig` are lights, or directions,
-    known from elsewhere (`lighting.rig`).
+    known from elsewhere (`lighting.rig`), `known` what the network was given.
     """
     lights, confidence, near = None, None, None
     if options.lamp_distance is not None:
@@ -58,7 +59,7 @@ def estimate_extras(
     elif options.lights or options.base_color or options.rti:
         from unips_jax.lighting.light_fit import estimate_lights
 
-        guesses = found.lights if rig is None else rig
+        guesses = _with_known(found.lights, known) if rig is None else rig
         lights = estimate_lights(
             images, found.normals, mask, guesses=guesses, near=near, transfer=transfer
         )
@@ -72,9 +73,21 @@ def estimate_extras(
             found.normals,
             transfer=transfer,
             frame=options.frame,
+            lights=known,
             progress=progress,
         )
     return Extras(lights, confidence)
+
+
+def _with_known(
+    guesses: np.ndarray | None, known: np.ndarray | None
+) -> np.ndarray | None:
+    """Guesses of lights, towards those that are known exactly."""
+    if guesses is None or known is None:
+        return guesses
+    exact = np.linalg.norm(known, axis=-1, keepdims=True) > 1 - 1e-4
+    length = np.linalg.norm(guesses, axis=-1, keepdims=True)
+    return np.where(exact, length * known, guesses)
 
 
 def _near_field(normals: np.ndarray, mask: np.ndarray, distance: float) -> NearField:

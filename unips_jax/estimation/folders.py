@@ -165,6 +165,9 @@ def estimate_selection(
 
     if verbose:
         print_selection(selection)
+    known = _known_lights(selection, options)
+    if known is not None:
+        _check_use_of_lights(network)
     rig = None
     if options.lights_from is not None:
         from unips_jax.lighting.rig import read_rig
@@ -195,6 +198,7 @@ def estimate_selection(
         mask,
         transfer=transfer,
         frame=options.frame,
+        lights=known,
         fast=options.fast,
     )
     if verbose:
@@ -220,6 +224,7 @@ def estimate_selection(
         transfer,
         options,
         rig=rig,
+        known=known,
     )
     if verbose and options.confidence:
         with progress("estimating confidence") as report:
@@ -227,6 +232,26 @@ def estimate_selection(
     else:
         extras = look()
     return Estimate(images, mask, transfer, found.normals, record, focal, extras)
+
+
+def _known_lights(selection: Selection, options: FolderOptions) -> np.ndarray | None:
+    if not options.known_lights:
+        return None
+    from unips_jax.lighting.known import read_known_lights
+
+    return read_known_lights(options.known_lights, selection.names)
+
+
+def _check_use_of_lights(named: NamedNetwork) -> None:
+    from unips_jax.models.config import require_known_lights
+
+    try:
+        require_known_lights(named.network.config)
+    except ValueError:
+        raise InputError(
+            "--known-lights: expected weights of a network that uses known lights, got "
+            f"{named.record['name']}; leave the option out, or use others"
+        ) from None
 
 
 def _named(network: "UniversalNetwork", name: str, *, trained: bool) -> NamedNetwork:
@@ -251,6 +276,11 @@ def _input_record(
         from unips_jax.lighting.rig import rig_file
 
         chosen["lights_from"] = file_hash(rig_file(options.lights_from))
+    known = _known_lights(selection, options)
+    chosen["known_lights"] = None
+    if known is not None:
+        named = zip(selection.names, known, strict=True)
+        chosen["known_lights"] = {name: x.tolist() for name, x in named if x.any()}
     chosen |= {name: list(chosen[name]) for name in ("include", "exclude")}  # as JSON
     normals = selection.folder / "normal.tif"
     if options.reader == "official" and not selection.mask_file and normals.is_file():

@@ -36,6 +36,9 @@ class FolderOptions:
         dark: a photograph without the lamp, in the folder or elsewhere, whose light is
             subtracted from the others.
         register: bring photographs that moved back to the others' place.
+        known_lights: for weights that use them, lights that are known: a list of
+            directions (.lp), by the photographs' names, or by hand, such as
+            "3: upper left" or "photo.jpg: right"; others stay unknown.
         reader: official: the authors' square crop and resize, and all files linear;
             the results have that size.
         size: side in pixels that the official reader resizes to; 512 if not given.
@@ -74,6 +77,9 @@ class FolderOptions:
     transfer: Literal["auto", "linear", "srgb"] = "auto"
     dark: Path | None = None
     register: bool = False
+    known_lights: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar='FILE.lp|"NAME: WHERE"')
+    ] = ()
     reader: Literal["plain", "official"] = "plain"
     size: int | None = None
     exr: bool = False

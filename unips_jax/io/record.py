@@ -148,6 +148,8 @@ def print_record(record: dict[str, Any]) -> None:
         moves = record["moved_back"].items()
         shown = [f"{name} {x:+.1f} {y:+.1f}" for name, (x, y) in moves]
         print_line("moved", f"back by {', '.join(shown)} pixels (right, down)")
+    if known := options["known_lights"]:
+        print_line("lights", f"known of {len(known)} of {len(record['images'])}")
     print_line("weights", f"{weights['name']} (hash {weights['hash'][:8]})")
     if not weights["trained"]:
         print_line("", _UNTRAINED)

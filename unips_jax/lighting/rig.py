@@ -38,20 +38,8 @@ def read_rig(source: Path, names: Sequence[str] | None = None) -> Lights | np.nd
     """
     path = rig_file(source)
     if path.suffix.lower() == ".lp":
-        found = read_light_list(path)
-        if found.problems:
-            raise InputError(f"--lights-from {source}: {found.problems[0]}")
-        if found.lights.shape[1] != 3:
-            raise InputError(
-                f"--lights-from {source}: expected directions, three numbers, got "
-                "highlights' places in pixels, two"
-            )
-        length = np.linalg.norm(found.lights, axis=1, keepdims=True)
-        if not (length > 0).all():
-            raise InputError(
-                f"--lights-from {source}: expected directions, got one of length 0"
-            )
-        return (found.lights / length)[_rows(found.names, names, source)]
+        known, directions = read_directions(path, f"--lights-from {source}")
+        return directions[_rows(known, names, source)]
     stored = _stored(path)
     rows = _rows(stored["file"], names, source)
     values = {name: np.array(stored[name], float)[rows] for name in _SHAPES}
@@ -64,6 +52,22 @@ def read_rig(source: Path, names: Sequence[str] | None = None) -> Lights | np.nd
         values["harmonics"],
         around,
     )
+
+
+def read_directions(path: Path, option: str) -> tuple[Sequence[str], np.ndarray]:
+    """Names and unit directions `[N, 3]` of a list (`.lp`); errors name the option."""
+    found = read_light_list(path)
+    if found.problems:
+        raise InputError(f"{option}: {found.problems[0]}")
+    if found.lights.shape[1] != 3:
+        raise InputError(
+            f"{option}: expected directions, three numbers, got highlights' places in "
+            "pixels, two"
+        )
+    length = np.linalg.norm(found.lights, axis=1, keepdims=True)
+    if not (length > 0).all():
+        raise InputError(f"{option}: expected directions, got one of length 0")
+    return found.names, found.lights / length
 
 
 def _stored(path: Path) -> dict[str, list[Any]]:
