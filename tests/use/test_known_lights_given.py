@@ -1,17 +1,16 @@
 """Lights that are given with photographs, as a list or by hand."""
 
-import dataclasses
 import json
 
 import numpy as np
 import pytest
 from estimate_runs import EXAMPLES, pot, run
-from small_networks import SHALLOW_OURS
 
 from unips_jax import weights
 from unips_jax.errors import InputError
 from unips_jax.estimation.extras import _with_known
 from unips_jax.lighting.known import read_known_lights
+from unips_jax.models.config import ModelConfig
 from unips_jax.models.network import UniversalNetwork
 
 NAMES = ["a_1.jpg", "a_2.jpg", "3.jpg", "b.jpg"]
@@ -71,14 +70,7 @@ def test_what_fits_no_photograph_is_refused(tmp_path, monkeypatch, text, message
     assert str(caught.value).startswith("--known-lights") and "\n" not in str(caught)
 
 
-def test_the_command_passes_them_on(tmp_path, network_calls, monkeypatch, capsys):
-    load = weights.load_weights
-    config = dataclasses.replace(SHALLOW_OURS, known_lights=True)
-    monkeypatch.setattr(
-        weights,
-        "load_weights",
-        lambda name: UniversalNetwork(config, load(name).params),
-    )
+def test_the_command_passes_them_on(tmp_path, network_calls, capsys):
     folder = pot(tmp_path)
     (tmp_path / "dome.lp").write_text("L_0.png 0 0 1\nL_4.png 0 0.6 0.8\n")
     given = folder, "-o", tmp_path / "out", "--known-lights"
@@ -95,11 +87,15 @@ def test_the_command_passes_them_on(tmp_path, network_calls, monkeypatch, capsys
     assert len(network_calls) == 2
 
 
-def test_weights_that_cannot_use_them_are_refused(tmp_path, network_calls, capsys):
+def test_the_papers_network_has_no_use_for_them(
+    tmp_path, network_calls, monkeypatch, capsys
+):
+    paper = UniversalNetwork(ModelConfig.paper(), {"a": {"kernel": np.ones(2)}})
+    monkeypatch.setattr(weights, "load_weights", lambda name: paper)
     folder = pot(tmp_path)
     assert run(folder, "-o", tmp_path / "out", "--known-lights", "1: left") != 0
     error = capsys.readouterr().err
-    assert "--known-lights: expected weights of a network that uses" in error
+    assert "--known-lights: expected weights of a network that guesses" in error
     assert not network_calls and not (tmp_path / "out" / "pot").exists()
 
 

@@ -249,8 +249,8 @@ def _check_use_of_lights(named: NamedNetwork) -> None:
         require_known_lights(named.network.config)
     except ValueError:
         raise InputError(
-            "--known-lights: expected weights of a network that uses known lights, got "
-            f"{named.record['name']}; leave the option out, or use others"
+            "--known-lights: expected weights of a network that guesses lights, as the "
+            f"shipped ones, got {named.record['name']}; leave the option out"
         ) from None
 
 

@@ -36,9 +36,9 @@ class FolderOptions:
         dark: a photograph without the lamp, in the folder or elsewhere, whose light is
             subtracted from the others.
         register: bring photographs that moved back to the others' place.
-        known_lights: for weights that use them, lights that are known: a list of
-            directions (.lp), by the photographs' names, or by hand, such as
-            "3: upper left" or "photo.jpg: right"; others stay unknown.
+        known_lights: lights that are known: a list of directions (.lp), by the
+            photographs' names, or by hand, such as "3: upper left" or
+            "photo.jpg: right"; others stay unknown.
         reader: official: the authors' square crop and resize, and all files linear;
             the results have that size.
         size: side in pixels that the official reader resizes to; 512 if not given.
