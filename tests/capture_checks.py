@@ -8,8 +8,8 @@ from unips_jax.io.photographs import Capture
 STRIPES = {"second": (0.25, 0.2, 0.1), "background": 0.02}
 
 
-def check(images, mask, transfer="srgb", rule="8-bit values", **told):
-    capture = Capture(images, mask, transfer, rule, **told)
+def check(images, mask, transfer="srgb", rule="8-bit values", **facts):
+    capture = Capture(images, mask, transfer, rule, **facts)
     return check_capture(capture, [f"{i}.png" for i in range(len(images))])
 
 

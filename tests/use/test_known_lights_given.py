@@ -33,7 +33,7 @@ def test_words_give_directions_that_are_known_roughly():
         ("a_2.jpg: Upper  right", 1, [0.5, 0.5, half]),
         ("3: front", 2, [0, 0, 1]),  # the name is looked at before the number
         ("b: bottom, front", 3, [0, -(0.2**0.5), 0.8**0.5]),
-        ("4:above", 3, [0, half, half]),
+        ("04:above", 3, [0, half, half]),
     ):
         found = read_known_lights([text], NAMES)
         cosine = np.cos(np.radians(35))
@@ -52,6 +52,8 @@ def test_later_ones_replace_earlier_ones(tmp_path):
     ("text", "message"),
     [
         ("5: left", "its number from 1 to 4, got 5"),
+        ("0: left", "its number from 1 to 4, got 0"),
+        ("9" * 5000 + ": left", "its number from 1 to 4, got 9"),
         ("c.jpg: left", "expected a photograph's name"),
         ("1: left right", "words that cancel out"),
         ("1: left blue", "got blue"),

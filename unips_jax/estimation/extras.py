@@ -82,7 +82,7 @@ def estimate_extras(
 def _with_known(
     guesses: np.ndarray | None, known: np.ndarray | None
 ) -> np.ndarray | None:
-    """Guesses of lights, towards those that are known exactly."""
+    """Guesses `[N, 3]`, towards lights that are known exactly, in surroundings too."""
     if guesses is None or known is None:
         return guesses
     exact = np.linalg.norm(known, axis=-1, keepdims=True) > 1 - 1e-4

@@ -86,8 +86,9 @@ def _by_hand(
     by_name = [row for row, n in enumerate(names) if _plain(n) == _plain(name)]
     if by_name:
         return by_name, direction
-    if name.isdecimal() and 1 <= int(name) <= len(names):
-        return [int(name) - 1], direction
+    numbers = [str(row + 1) for row in range(len(names))]
+    if name.lstrip("0") in numbers:
+        return [numbers.index(name.lstrip("0"))], direction
     raise InputError(
         f"--known-lights {text!r}: expected a photograph's name, or its number from 1 "
         f"to {len(names)}, got {name}"
