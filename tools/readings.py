@@ -169,6 +169,26 @@ def fast(setting: Setting, line: str) -> Table:
     return {"columns": [*found["columns"], "sets"], "rows": rows}
 
 
+def known_lights(setting: Setting, line: str) -> Table:
+    """Means by data, without lights, with rough ones and with exact ones, and sets."""
+    names = {
+        "unips": "none",
+        "unips lights 20": "20 degrees off",
+        "unips lights": "exact",
+        "constant": "constant normal",
+    }
+    rows = []
+    for part in line.split(" && "):
+        setting.run(part)
+        word = part.partition("--workdir ")[2].partition(" ")[0]
+        table = setting.tables(word)["summary"]
+        mean = table["columns"].index("Mean")
+        found = {names[row[0]]: row for row in _own(table)}
+        cells = _rounded([found[name][mean] for name in names.values()])
+        rows.append([word.rpartition("/")[2], *cells, found["exact"][-1]])
+    return {"columns": ["", *names.values(), "sets"], "rows": rows}
+
+
 def table8(setting: Setting, line: str) -> Table:
     """Methods by lighting, on how many sets, and the paper's means."""
     setting.run(line)

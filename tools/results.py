@@ -267,7 +267,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     add("--weights", default="tiny", help="shipped name or file (tiny)")
     add("--workdir", type=Path, default=ROOT / "runs" / "results")
     add("--shared", type=Path, default=ROOT.parent / "shared", help="real photographs")
-    for name in ("ps-wild-mini", "ps-wild-real"):
+    for name in ("ps-wild-mini", "ps-wild-real", "reliefs"):
         add(f"--{name}", type=Path, default=ROOT / name, metavar="DIR")
     arguments = parser.parse_args(argv)
     if arguments.measure is not None:
@@ -282,6 +282,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             "shared": arguments.shared.resolve(),
             "ps-wild-mini": arguments.ps_wild_mini.resolve(),
             "ps-wild-real": arguments.ps_wild_real.resolve(),
+            "reliefs": arguments.reliefs.resolve(),
             "tools": ROOT / "tools",
         }
         weights = arguments.weights

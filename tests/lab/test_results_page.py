@@ -183,6 +183,29 @@ def test_the_yardstick_is_averaged_over_objects(readings, monkeypatch):
     ]
 
 
+def test_gains_by_known_lights_are_read_by_data(readings, tmp_path, monkeypatch):
+    setting = readings["Setting"]("tiny", {"out": tmp_path})
+    ran = []
+    monkeypatch.setattr(type(setting), "run", lambda _, part: ran.append(part))
+    columns = ["Method", "Images", "Source", "Mean", "Objects"]
+    scores = {"unips lights": 5.7, "unips": 6.0, "unips lights 20": 5.9, "constant": 31}
+    rows = [[name, 10, "this run", x, "24 of 24"] for name, x in scores.items()]
+    rows.append(["PF14", 96, "published", 8.4, None])
+    for name in ("reliefs", "DiLiGenT"):
+        place = tmp_path / "known" / name / "tables"
+        place.mkdir(parents=True)
+        tables = {"summary": {"columns": columns, "rows": rows}}
+        (place / "tables.json").write_text(json.dumps(tables))
+    line = "unips eval --workdir out/known/reliefs -m a && unips eval --workdir "
+    assert readings["known_lights"](setting, f"{line}out/known/DiLiGenT") == {
+        "columns": ["", "none", "20 degrees off", "exact", "constant normal", "sets"],
+        "rows": [
+            [name, 6.0, 5.9, 5.7, 31, "24 of 24"] for name in ("reliefs", "DiLiGenT")
+        ],
+    }
+    assert len(ran) == 2
+
+
 def test_a_command_is_run_once(readings, tmp_path, monkeypatch):
     monkeypatch.setattr(readings["sys"], "executable", "echo")
     setting = readings["Setting"]("tiny", {"out": tmp_path})
