@@ -38,6 +38,7 @@ def files_of(folder):
 
 
 def test_an_evaluation_on_two_nodes_is_that_of_one(tmp_path):
+    pytest.importorskip("ray", reason="ray is not installed")
     make_diligent(tmp_path / "data")
     data = ["--benchmark", "diligent", "--root", str(tmp_path / "data")]
     data += ["--objects", "ball", "cat"]
