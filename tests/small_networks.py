@@ -1,7 +1,7 @@
 """Networks small enough to compile in seconds, for several test files."""
 
 import dataclasses
-from functools import partial
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -39,25 +39,31 @@ SHALLOW_OURS = dataclasses.replace(SMALL_OURS, depths=(1,), num_heads=(2,))
 
 
 def lively_weights(config=SMALL):
-    return lively(partial(init_params, config))
+    return _drawn(_layout(config))
 
 
 def lively_network(config=SMALL):
     return UniversalNetwork(config, lively_weights(config))
 
 
-def lively(init, *arguments):
-    """Parameters larger than those `init` gives, so that every path matters.
+@functools.cache
+def _layout(config):
+    return jax.eval_shape(lambda key: init_params(config, key), jax.random.key(0))
 
-    NumPy draws them: compiling an initialisation takes longer than most tests.
-    """
+
+def lively(init, *arguments):
+    """Parameters larger than those `init` gives, so that every path matters."""
+    return _drawn(jax.eval_shape(init, jax.random.key(0), *arguments))
+
+
+def _drawn(shapes):
+    """By NumPy: compiling an initialisation takes longer than most tests."""
     generator = np.random.default_rng(3)
 
     def draw(path, shape):
         value = 0.3 * generator.standard_normal(shape.shape)
         return jnp.asarray(value + (path[-1].key == "scale"), shape.dtype)
 
-    shapes = jax.eval_shape(init, jax.random.key(0), *arguments)
     return jax.tree_util.tree_map_with_path(draw, shapes)
 
 

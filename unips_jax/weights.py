@@ -6,7 +6,6 @@ is checked on reading. Half precision in the file becomes float32 in memory. Fil
 equal contents are equal bytes.
 """
 
-import functools
 import hashlib
 import importlib.resources
 import json
@@ -194,8 +193,8 @@ def _hash(config: str, arrays: Mapping[str, Any]) -> str:
 
 def random_weights(config: ModelConfig, *, seed: int = 0) -> UniversalNetwork:
     """An untrained network, as training starts from."""
-    initial = jax.jit(functools.partial(init_params, config))
-    return UniversalNetwork(config, initial(jax.random.key(seed)))
+    initial = jax.jit(init_params, static_argnums=0)
+    return UniversalNetwork(config, initial(config, jax.random.key(seed)))
 
 
 def _not_readable(path: Path, error: Exception) -> InputError:

@@ -1,5 +1,6 @@
 """Masks suggested from photographs, and by a box or strokes."""
 
+import itertools
 import json
 
 import cv2
@@ -119,7 +120,9 @@ def test_holes_through_which_the_background_shows_are_open(name, radius):
     )
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize(
+    "dtype", [np.uint8, pytest.param(np.float32, marks=pytest.mark.slow)]
+)
 def test_the_network_lays_outlines_at_full_resolution(dtype):
     images, truth = photographs(3, **HARD["wood"], size=(1100, 1400), count=3)
     if dtype == np.float32:
@@ -167,9 +170,17 @@ def test_a_click_takes_or_drops_a_piece():
         toggle_piece(mask, picture[1:], (3, 3))
 
 
-@pytest.mark.parametrize("table", [0.08, 0.2, 0.5])
-@pytest.mark.parametrize("wall", [0.0, 0.1, 0.6])
-@pytest.mark.parametrize("albedo", [0.08, 0.6])
+QUICK = {(0.08, 0.0, 0.5), (0.08, 0.6, 0.08), (0.08, 0.1, 0.2)}
+QUICK |= {(0.6, 0.0, 0.08), (0.6, 0.6, 0.5), (0.6, 0.1, 0.2)}
+
+
+@pytest.mark.parametrize(
+    ("albedo", "wall", "table"),
+    [
+        pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow)
+        for case in itertools.product((0.08, 0.6), (0.0, 0.1, 0.6), (0.08, 0.2, 0.5))
+    ],
+)
 def test_a_table_before_a_wall_misleads_nobody(albedo, wall, table):
     images, truth = photographs(5, albedo=(albedo,) * 3, count=4)
     height = len(truth)

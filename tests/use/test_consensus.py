@@ -125,7 +125,7 @@ def test_training_teaches_every_parameter():
         gradient.params["encoder"]["consensus"], sep="/"
     ).items():
         if not name.endswith("key/bias"):  # drops out of the softmax
-            assert abs(leaf).max() > 0, name
+            assert np.abs(leaf).max() > 0, name
     unknown, gradient = loss(network, None)
     assert unknown < value
     assert not np.any(gradient.params["encoder"]["consensus"]["lights"]["kernel"])

@@ -5,6 +5,7 @@ What estimates, exports or trains need not know which network it has.
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import flax.linen as nn
@@ -226,7 +227,8 @@ def init_params(config: ModelConfig, key: Array) -> Params:
     return EncoderDecoder(config).init(key, images, pixels, places, places)["params"]
 
 
-def param_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
+@functools.lru_cache(maxsize=8)  # laying a network out takes longer than reading it
+def param_shapes(config: ModelConfig) -> Mapping[str, tuple[int, ...]]:
     """The shapes of a network's parameters, by their paths joined by dots."""
     shapes = jax.eval_shape(lambda key: init_params(config, key), jax.random.key(0))
     return {k: v.shape for k, v in flatten_dict(shapes, sep=".").items()}
