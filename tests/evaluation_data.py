@@ -266,6 +266,10 @@ def make_folder(root, *, size=20, mask=True):
     return root
 
 
+def by_name(benchmark):
+    return {benchmark[i].name: benchmark[i] for i in range(len(benchmark))}
+
+
 def snapshot(root):
     """Every file below a folder, with contents, to show that nothing was touched."""
     return {
