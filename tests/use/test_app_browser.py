@@ -46,6 +46,7 @@ from app_page import (
 from browser import ABSENT, browser, pixels
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 from small_networks import SHALLOW_OURS, lively_network
 
@@ -283,6 +284,43 @@ for (const [kind, x] of [["down", 0.1], ["move", 0.9], ["up", 0.9]])
 """
 
 
+DROP = """
+const file = new File(["no photograph"], "notes.txt");
+const pages = [[{ isFile: true, file: (done) => done(file) }], []];
+const reader = { readEntries: (done) => done(pages.shift()) };
+const entry = { isDirectory: true, name: "vase", createReader: () => reader };
+const dropped = new Event("drop", { bubbles: true, cancelable: true });
+dropped.dataTransfer = { items: [{ webkitGetAsEntry: () => entry }] };
+document.getElementById(arguments[0]).dispatchEvent(dropped)
+"""
+
+
+def test_a_dropped_folder_gives_the_object_its_name(stand_in):
+    """Also after a draft was looked at and left, and into a draft."""
+
+    def name():
+        return driver.find_element(By.ID, "name").get_property("value")
+
+    with browser(1200, 1100) as driver:
+        for _ in range(2):
+            open_page(driver, stand_in.address)
+            driver.execute_script("location.hash = ''")
+            until(driver, lambda: shown(driver, "first-drop"))
+            driver.execute_script(DROP, "first-drop")
+            until(driver, lambda: name() == "vase" and "notes" in text(driver, "aside"))
+            driver.execute_script("location.hash = ''")
+            until(driver, lambda: shown(driver, "first-drop"))
+            press(driver, "example")
+            until(driver, lambda: name() == "example")
+        driver.execute_script(
+            "const name = document.getElementById('name'); name.value = 'object';"
+            "name.dispatchEvent(new Event('change'))"
+        )
+        driver.execute_script(DROP, "more-drop")
+        until(driver, lambda: name() == "vase" and "notes" in text(driver, "aside"))
+        assert complaints(driver, "notes.txt") == [] and not shown(driver, "message")
+
+
 def test_what_was_drawn_just_before_a_reload_is_kept(stand_in, photographs):
     with browser(1200, 1100) as driver:
         open_page(driver, stand_in.address)
@@ -295,6 +333,13 @@ def test_what_was_drawn_just_before_a_reload_is_kept(stand_in, photographs):
         reload_at_once(driver, STROKE)
         until(driver, lambda: can_estimate(driver))
         assert 0.02 < object_share(driver) < 0.2  # a band across the picture
+        before = object_share(driver)
+        canvas = driver.find_element(By.ID, "mask-canvas")
+        canvas.send_keys(Keys.DOWN * 5)
+        canvas.send_keys(Keys.SHIFT, Keys.RIGHT)
+        assert object_share(driver) > before
+        canvas.send_keys("z")
+        assert object_share(driver) == before
         assert complaints(driver) == []
 
 

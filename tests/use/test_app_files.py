@@ -1,16 +1,20 @@
 """Files that the application gets: photographs, masks, bounds."""
 
+import io
+import threading
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 pytest.importorskip("starlette", reason="starlette is not installed")
 pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 
 from app_client import Pretended, drawn, photographs
 
+from unips_jax.app import work
 from unips_jax.io.images import read_image
 
 SAMPLE = Path(__file__).parents[2] / "unips_jax/assets/sample/obj000.data"
@@ -91,6 +95,64 @@ def test_equal_names_all_stay(opening):
         assert client.put(key, name, data).status == 200
     shown = client.ready(key)
     assert len(shown["found"]["names"]) == len({*shown["found"]["names"]}) == 6
+
+
+def stack(level):
+    """A TIFF of three pages, darker ones and brighter ones."""
+    file = io.BytesIO()
+    pages = np.full((3, 48, 64, 3), level, np.uint8)
+    pages[:, 10:30, 10:40] += np.uint8([[[[20]]], [[[60]]], [[[90]]]])
+    tifffile.imwrite(file, pages, photometric="rgb")
+    return file.getvalue()
+
+
+def test_frames_of_files_of_one_name_all_stay(opening):
+    client = opening()
+    key = client.post("/objects", name="vase")["id"]
+    for level in (50, 100):
+        assert client.put(key, "stack.tif", stack(level)).status == 200
+        shown = client.ready(key)
+    assert shown["name"] == "vase"
+    names = [
+        f"{stem}_page_00{n}.tif" for stem in ("stack-2", "stack") for n in (1, 2, 3)
+    ]
+    assert sorted(p["file"] for p in shown["photographs"]) == names
+    inbox = client.results / ".app" / key / "photographs"
+    assert sorted(path.name for path in inbox.iterdir()) == names
+    corners = [int(read_image(inbox / name)[0, 0, 0]) for name in names]
+    assert corners == [100] * 3 + [50] * 3
+
+
+@pytest.mark.parametrize("name", ["0.png", "stack.tif"])
+def test_what_is_left_out_while_it_is_looked_at_stays_out(opening, monkeypatch, name):
+    began, go_on, look = threading.Event(), threading.Event(), work.look
+
+    def slow(path, *arguments, **options):
+        found = look(path, *arguments, **options)
+        if path.name == name:
+            began.set()
+            go_on.wait(60)
+        return found
+
+    monkeypatch.setattr(work, "look", slow)
+    client = opening()
+    key = client.post("/objects")["id"]
+    sent = photographs(3) | {"stack.tif": stack(50)}
+    client.put(key, name, sent[name])
+    client.get(f"/objects/{key}")
+    assert began.wait(60)
+    client.post(f"/objects/{key}/use", file=name, use=False)
+    go_on.set()
+    client.put(key, "2.png", sent["2.png"])
+    shown = client.ready(key)
+    assert of_state(shown, "aside") == {name: "you"}
+    assert of_state(shown, "used") == {"2.png": ""}
+    inbox = client.results / ".app" / key / "photographs"
+    assert {path.name for path in inbox.iterdir()} == {name, "2.png"}
+    client.post(f"/objects/{key}/use", file=name, use=True)
+    used = client.ready(key)["found"]["names"]
+    pages = [f"stack_page_00{n}.tif" for n in (1, 2, 3)]  # of another type than 2.png
+    assert used == (["0.png", "2.png"] if name == "0.png" else pages)
 
 
 @pytest.mark.parametrize(

@@ -82,9 +82,15 @@ def test_old_drafts_and_removed_objects_are_cleared(tmp_path):
         done.save()
         for item in (old, done):
             os.utime(item.folder / "object.json", (past, past))
+        newer, half = objects.begin(), objects.place / "half"
+        (newer.folder / "object.json").write_text('{"a field of another version": 1}')
+        half.mkdir()
+        for folder in (newer.folder, half):
+            os.utime(folder, (past, past))
     with opened(tmp_path, days=30) as objects:
         assert {item.id for item in objects.all()} == {kept.id, done.id}
         assert not old.folder.exists() and not removed.folder.exists()
+        assert newer.inbox.is_dir() and not half.exists()
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])

@@ -98,7 +98,7 @@ class Api:
         )
 
     async def begin(self, request: Request) -> Response:
-        """A new object; `{"example": true}`: with the photographs that ship."""
+        """A new object, `{"name": text}`; `{"example": true}`: of what ships."""
         wanted = await json_of(request)
         drafts = [i for i in self._objects.all() if i.state not in OVER]
         if len(drafts) >= self._limits.objects:
@@ -111,7 +111,7 @@ class Api:
             }
             item = self._objects.begin("example", photographs)
         else:
-            item = self._objects.begin()
+            item = self._objects.begin(_name(wanted.get("name")))
         return JSONResponse({"id": item.id})
 
     async def show(self, request: Request, item: Object) -> Response:
@@ -177,7 +177,7 @@ class Api:
         _require_draft(item)
         wanted = await json_of(request)
         before = item.options.get("transfer", "auto")
-        item.name = str(wanted.get("name", item.name))[:100] or "object"
+        item.name = _name(wanted.get("name", item.name))
         item.options = dataclasses.asdict(_choices(wanted.get("options")))
         if item.options["transfer"] != before:
             item.changed()
@@ -258,6 +258,10 @@ class Api:
         item.removed = 0.0
         item.save()
         return JSONResponse({})
+
+
+def _name(wanted: Any) -> str:
+    return (wanted if isinstance(wanted, str) else "")[:100] or "object"
 
 
 def _require_draft(item: Object) -> None:

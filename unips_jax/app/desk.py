@@ -121,7 +121,12 @@ class Desk:
             photo.state = "aside"
             photo.why, photo.detail = reason_of(without_folder(str(error), path))
         else:
-            if "frames" in facts:
+            wanted = photo.state == "new"  # it may have been left out meanwhile
+            if "frames" not in facts:
+                photo.facts = facts
+                if wanted:
+                    take(item, photo)
+            elif wanted:
                 item.photographs.remove(photo)
                 item.photographs += [
                     Photograph(name, name, (item.inbox / name).stat().st_size)
@@ -129,8 +134,8 @@ class Desk:
                 ]
                 path.unlink(missing_ok=True)
             else:
-                photo.facts = facts
-                take(item, photo)
+                for name in facts["frames"]:
+                    (item.inbox / name).unlink(missing_ok=True)
         item.changed()
 
     async def _gather(self, item: Object) -> None:

@@ -203,9 +203,10 @@ class Objects:
                 del self._there[item.id]
                 shutil.rmtree(item.folder, ignore_errors=True)
         for folder in self.place.iterdir():  # what a killed server left half made
-            if folder.is_dir() and folder.name not in self._there:
-                if folder.stat().st_mtime < limit:
-                    shutil.rmtree(folder, ignore_errors=True)
+            # Another version's objects, which are not read here, stay.
+            half = folder.is_dir() and not (folder / _FILE).exists()
+            if half and folder.stat().st_mtime < limit:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextlib.contextmanager

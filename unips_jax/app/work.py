@@ -6,6 +6,7 @@ its progress to `report`, and what can't be done is an `InputError`.
 
 import dataclasses
 import functools
+import itertools
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -99,7 +100,7 @@ def _unpack(container: Path, max_pixels: int) -> list[str]:
     try:
         with unpacked(container, max_pixels=max_pixels) as folder:
             files = sorted(folder.iterdir())
-            names = [f"{container.stem}_{file.name}" for file in files]
+            names = _frame_names(container, [file.name for file in files])
             for file, name in zip(files, names, strict=True):
                 with writing(container):
                     shutil.move(file, container.with_name(name))  # from another disk
@@ -107,6 +108,17 @@ def _unpack(container: Path, max_pixels: int) -> list[str]:
         if container.suffix.lower() in VIDEO_SUFFIXES:
             raise
         return []  # one photograph, or damaged: its reader says what is wrong
+    return names
+
+
+def _frame_names(container: Path, frames: list[str]) -> list[str]:
+    """Names of a file's frames next to it, with a number if others have them."""
+    taken = {path.name.lower() for path in container.parent.iterdir()}
+    for number in itertools.count(1):
+        stem = container.stem if number == 1 else f"{container.stem}-{number}"
+        names = [f"{stem}_{name}" for name in frames]
+        if taken.isdisjoint(name.lower() for name in names):
+            break
     return names
 
 

@@ -20,7 +20,7 @@ export function build(poll) {
   byId("estimate").addEventListener("click", estimate);
 }
 
-/** Sends files; a folder's name becomes the object's. */
+/** Sends files; a folder's name, if there is one, becomes that of the object shown. */
 export function take(id, files, name) {
   uploads.send(id, files, () => {
     if (shown?.id === id) refresh();

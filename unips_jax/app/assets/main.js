@@ -137,9 +137,9 @@ function remove(item) {
 }
 
 async function begin(example, files, name) {
-  const { id } = await uploads.begin(example);
+  const { id } = await uploads.begin(example, name);
   remember(id);
-  if (files) draft.take(id, files, name);
+  if (files) draft.take(id, files);
   location.hash = id;
 }
 

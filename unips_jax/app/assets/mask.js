@@ -342,6 +342,7 @@ function keys(event) {
     const limits = [canvas.width, canvas.height];
     cursor = cursor.map((value, axis) => Math.min(Math.max(value + (arrow[axis] * brush()) / 2, 0), limits[axis]));
     if (event.shiftKey && paints) {
+      if (!event.repeat) remember();
       paint(before, cursor);
       edited();
     }

@@ -103,4 +103,4 @@ export function dropZone(element, taken) {
   });
 }
 
-export const begin = (example) => request("POST", "/objects", { example });
+export const begin = (example, name) => request("POST", "/objects", { example, name });
