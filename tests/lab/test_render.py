@@ -75,6 +75,20 @@ def test_focal_lengths_are_told_in_pixels_too(scene):
     assert "focal" not in folders.describe(scene)
 
 
+def test_a_folder_written_again_has_no_photographs_of_the_earlier(tmp_path):
+    """What is the user's stays."""
+    mask, normals = np.ones((8, 8), bool), np.zeros((8, 8, 3), np.float32)
+    folder = tmp_path / "a.data"
+    maps = {"roughness": np.full((8, 8), 0.5)}
+    write_folder(folder, np.ones((5, 8, 8, 3)), mask, normals, {}, maps=maps)
+    (folder / "lights.txt").write_text("mine")
+    write_folder(folder, np.ones((2, 8, 8, 3)), mask, normals, {})
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == (
+        ["L_00.png", "L_01.png", "lights.txt", "mask.png", "meta.json", "normal.tif"]
+    )
+
+
 def test_a_failure_leaves_nothing_behind(tmp_path, scene):
     with pytest.raises(TypeError):
         write(tmp_path / "obj000.data", scene, {"seed": object()})

@@ -127,6 +127,37 @@ def test_the_users_files_are_kept(tmp_path):
     assert names == sorted([*NAMES, "normals.json", "link", "mine"])
 
 
+@pytest.mark.parametrize("mended", [False, True])
+def test_a_mask_that_was_mended_is_kept(tmp_path, mended):
+    target = tmp_path / "pot"
+    with appearing_at_once(target) as place:
+        (place / "mask.png").write_text("found")
+        write_record(place, {})
+    if mended:
+        (target / "mask.png").write_text("mended")
+    for step in (1, 2):
+        write(target, step)
+        assert (target / "mask.png").exists() == mended
+    assert version_of(target) == 2
+    if mended:
+        assert (target / "mask.png").read_text() == "mended"
+
+
+@pytest.mark.parametrize("notes", ["{}", '{"notes": []}'])
+def test_a_page_with_notes_is_kept(tmp_path, notes):
+    """Listed or not, unless there is a new one, which has them too."""
+    target = tmp_path / "pot"
+    page = f'<script type="application/json" id="notes">{notes}</script>'
+    write(target, 1)
+    (target / "view.html").write_text(page)
+    write(target, 2)
+    assert (target / "view.html").exists() == (notes != "{}")
+    with appearing_at_once(target) as place:
+        (place / "view.html").write_text("new")
+        write_record(place, {})
+    assert (target / "view.html").read_text() == "new"
+
+
 def test_results_are_known_by_their_own_record(tmp_path):
     for name in ("mesh.ply", "depth.exr"):
         with appearing_at_once(tmp_path / "cup", record="surface.json") as place:

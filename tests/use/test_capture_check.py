@@ -104,6 +104,13 @@ def test_one_photograph_without_the_lamp():
     assert "--dark 5.png subtracts it" in kinds["unlit"].text
 
 
+def test_a_photograph_of_the_dark_hides_nothing_of_the_others():
+    images, mask = photographs(3, directions=lights(8, np.linspace(-60, 60, 8)))
+    images[5] = np.random.default_rng(0).poisson(0.03, images[5].shape)
+    kinds = {finding.kind for finding in check(images, mask)}
+    assert kinds == {"unlit", "light from one side"}
+
+
 @pytest.mark.parametrize("seed", [3, 4])
 @pytest.mark.parametrize(
     ("azimuths", "side", "other"),

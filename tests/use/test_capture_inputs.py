@@ -1,5 +1,6 @@
 """Photographs in one file, and a frame without the lamp."""
 
+import dataclasses
 import json
 import random
 import re
@@ -11,16 +12,18 @@ import time
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 import tifffile
 from estimate_runs import run
+from picture_files import png, save, with_orientation
 from plain_objects import lights, photographs
 
 from unips_jax.capture.prepare import without_ambient
 from unips_jax.capture.unpack import unpacked
 from unips_jax.cli import main as cli
 from unips_jax.errors import InputError
-from unips_jax.io.color import CURVES, as_linear, srgb_encode
+from unips_jax.io.color import CURVES, Encoding, as_linear, srgb_encode
 from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
@@ -56,13 +59,58 @@ def test_the_pages_of_a_tiff(tmp_path, kind, calls):  # noqa: F811
             read_image(path)
 
 
+_COLOUR = np.random.default_rng(0).integers(0, 256, (2, 20, 31, 4), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("pages", "tags"),
+    [
+        (_COLOUR[..., :3], dict(photometric="rgb", extratags=[(274, 3, 1, 6, True)])),
+        (_COLOUR[..., 0], dict(photometric="miniswhite")),
+        (_COLOUR[..., 0], dict(photometric="palette", colormap=_COLOUR[0, :8, :, 0])),
+        (_COLOUR[..., 0] >> 4, dict(photometric="minisblack", bitspersample=4)),
+        (_COLOUR[..., :2], dict(photometric="minisblack", extrasamples=["unassalpha"])),
+        (_COLOUR, dict(photometric="rgb", extrasamples=["unassalpha"])),
+        (_COLOUR[..., :3], dict(photometric="cielab")),
+        (_COLOUR, dict(photometric="separated")),
+        (_COLOUR[..., 0] * np.uint16(16), dict(bitspersample=12)),
+    ],
+    ids="turned white-is-zero palette 4-bit grey-alpha alpha lab cmyk 12-bit".split(),
+)
+def test_pages_are_read_as_files_of_their_own(tmp_path, pages, tags):
+    if "colormap" in tags:
+        colours = np.resize(tags["colormap"].astype(np.uint16) * 257, (3, 256))
+        tags = {**tags, "colormap": colours}
+    one, several = tmp_path / "one.tif", tmp_path / "several.tif"
+    for path, some in ((one, pages[:1]), (several, pages)):
+        with tifffile.TiffWriter(path) as tiff:
+            for page in some:
+                tiff.write(page, metadata=None, **tags)
+    try:
+        expected = read_image_file(one)
+    except InputError as error:
+        kind = re.search("got (.*?);", str(error)).group(1)
+        with pytest.raises(InputError, match=re.escape(kind)), unpacked(several):
+            pass
+        return
+    with unpacked(several) as folder:
+        found = read_image_file(folder / "page_001.tif")
+    np.testing.assert_array_equal(found.pixels, expected.pixels)
+    assert found.orientation == expected.orientation
+    assert (found.alpha is None) == (expected.alpha is None)
+    if expected.alpha is not None:
+        np.testing.assert_array_equal(found.alpha, expected.alpha)
+
+
 def test_files_that_hold_one_or_nothing(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.zeros((20, 30), np.uint8))
+    tifffile.imwrite(tmp_path / "e.tif", _COLOUR[0, ..., :3], imagej=True)
     (tmp_path / "b.tif").write_bytes(b"II*\0nothing")
     (tmp_path / "c.mp4").write_bytes(b"no video")
     (tmp_path / "d.mp4").write_bytes(bytes(4) + b"ftypisom")
     for name, said in (
         ("a.tif", f"got one of 1; give its folder, {tmp_path}"),
+        ("e.tif", "got one of 1"),
         ("b.tif", "or a TIFF of several"),
         ("c.mp4", "got a file that does not begin like one"),
         ("d.mp4", "expected a video of some seconds, got 0 frames"),
@@ -70,8 +118,8 @@ def test_files_that_hold_one_or_nothing(tmp_path):
         with pytest.raises(InputError, match=said), unpacked(tmp_path / name):
             pass
     with pytest.raises(InputError, match="left out .a video: give the file itself"):
-        (tmp_path / "a.tif").unlink()
-        (tmp_path / "b.tif").unlink()
+        for name in "abe":
+            (tmp_path / f"{name}.tif").unlink()
         select(tmp_path)
 
 
@@ -246,6 +294,52 @@ def test_dark_frames_that_do_not_fit(folder):
     for name, said in (("small", "expected a dark frame as"), ("white", "less light")):
         with pytest.raises(InputError, match=rf"{name}\.png: .*{said}"):
             without_ambient(capture, read_image_file(folder / f"{name}.png"), names)
+
+
+def test_a_dark_frame_turns_with_the_photographs(tmp_path):
+    """A camera that looks down from a tripod does not know what is up."""
+    light = np.full((60, 80, 3), 0.05, np.float32)
+    light[:, 50:] = 0.3  # from one side
+    lamp = np.zeros_like(light)
+    lamp[20:40, 20:60] = [[[0.4], [0.3], [0.2]][i % 3] for i in range(40)]
+    for name, linear, tag in (("a", light + lamp, 1), ("dark", light, 3)):
+        pixels = np.rint(srgb_encode(linear) * 255).astype(np.uint8)
+        path = save(tmp_path / f"{name}.jpg", pixels)
+        path.write_bytes(with_orientation(path.read_bytes(), tag))
+    capture = read_capture(select(tmp_path, exclude=["dark*"]))
+    dark = read_image_file(tmp_path / "dark.jpg")
+    (left,) = as_linear(without_ambient(capture, dark, ["a.jpg"]).images, "srgb")
+    assert np.abs(left - lamp).max() < 0.02
+
+
+def test_dark_frames_of_another_encoding_or_without_a_value(folder, tmp_path):
+    folder, _ = folder
+    capture = read_capture(select(folder, exclude=["room*"]))
+    (tmp_path / "dark").mkdir()
+    path = tmp_path / "dark" / "linear.png"
+    room = read_image(folder / "room.png")
+    path.write_bytes(png(room, 2, 8, {b"gAMA": struct.pack(">I", 100_000)}))
+    with pytest.raises(InputError, match=r"linear\.png: expected srgb values as the"):
+        without_ambient(capture, read_image_file(path), [*"012"])
+    given = read_capture(select(folder, exclude=["room*"]), transfer="srgb")
+    without_ambient(given, read_image_file(path), [*"012"])
+
+    floats = dataclasses.replace(
+        capture, images=as_linear(capture.images, "srgb"), transfer="linear"
+    )
+    floats = dataclasses.replace(floats, encoding=Encoding("linear", "floats"))
+    ambient = np.full((*capture.mask.shape, 3), -0.01, np.float32)
+    ambient[~capture.mask] = np.nan
+    path = tmp_path / "dark" / "a.exr"
+    with OpenEXR.File({}, {"RGB": ambient}) as file:
+        file.write(str(path))
+    result = without_ambient(floats, read_image_file(path), [*"012"])
+    np.testing.assert_array_equal(result.images, floats.images)  # no light is added
+    ambient[capture.mask] = np.nan
+    with OpenEXR.File({}, {"RGB": ambient}) as file:
+        file.write(str(path))
+    with pytest.raises(InputError, match=r"a\.exr: expected finite values"):
+        without_ambient(floats, read_image_file(path), [*"012"])
 
 
 UNPACKING = """

@@ -243,6 +243,17 @@ def test_a_box_or_strokes_find_the_object_where_colours_differ(name):
     assert not (grabcut_mask(picture, box=box, outside=drawn) & drawn).any()
 
 
+def test_grabcut_stays_in_its_box():
+    """Where the picture is reduced too."""
+    y, x = np.mgrid[:1500, :2000]
+    round = (x - 1000) ** 2 + (y - 750) ** 2 < 380**2
+    picture = np.where(round[..., None], np.uint8(200), np.uint8(20)).repeat(3, 2)
+    for left, top, right, bottom in ((703, 401, 1297, 1101), (502, 302, 1298, 1001)):
+        mask = grabcut_mask(picture, box=(left, top, right, bottom))
+        within = mask[top:bottom, left:right]
+        assert within.sum() == mask.sum() and within.mean() > 0.6
+
+
 def test_what_grabcut_refuses():
     picture = np.zeros((40, 50, 3), np.uint8)
     nothing = np.zeros((40, 50), bool)

@@ -15,7 +15,7 @@ from PIL import ImageCms
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import CURVES, as_linear, encoding_of, icc_curve, srgb_encode
-from unips_jax.io.images import read_image, read_image_file
+from unips_jax.io.images import read_image, read_image_file, read_linear
 from unips_jax.io.photographs import read_capture, read_photographs
 from unips_jax.io.selection import select
 
@@ -142,6 +142,7 @@ def test_other_curves_are_made_srgb(tmp_path, dtype, tolerance):
     light = as_linear(capture.images[0], "srgb")
     expected = (read_image(path) / np.iinfo(dtype).max) ** (461 / 256)
     assert np.abs(light - expected).max() < tolerance
+    np.testing.assert_array_equal(read_linear(path), light)
     chosen = read_capture(select(tmp_path), transfer="linear")
     np.testing.assert_array_equal(chosen.images[0], smooth(dtype))
     assert (chosen.transfer, chosen.transfer_rule) == ("linear", "--transfer")

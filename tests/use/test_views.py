@@ -67,6 +67,13 @@ def test_a_pause_begins_a_view(folder):
     assert [len(view) for view in views] == [5, 2, 1]
 
 
+def test_views_are_as_large_as_was_allowed(folder):
+    files = sorted(folder.iterdir())
+    with pytest.raises(InputError, match="raise --max-pixels"):
+        views_by_time(files, 30, max_pixels=40 * 48 - 1)
+    assert len(views_by_time(files, 30, max_pixels=40 * 48)) == 4
+
+
 def test_views_have_results_of_their_own(folder, tmp_path, network_calls, capsys):
     out = tmp_path / "out"
     assert run(folder, "-o", out, "--pause", "100", "--mask", "none") == 0

@@ -38,6 +38,11 @@ def grabcut_mask(
         mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR
     )
     mask = soft > 0.5
+    if box is not None:
+        left, top, right, bottom = (max(round(value), 0) for value in box)
+        within = np.zeros_like(mask)
+        within[top:bottom, left:right] = True
+        mask &= within
     if inside is not None:
         mask |= inside
     if outside is not None:

@@ -41,7 +41,8 @@ class RoughLights(NamedTuple):
         """The correlation of shading and photographs, the middle one."""
         shading = self.directions @ self.normals.T
         pairs = zip(shading, self.values, strict=True)
-        return float(np.median([np.corrcoef(s, v)[0, 1] for s, v in pairs]))
+        found = [np.corrcoef(s, v)[0, 1] for s, v in pairs if np.ptp(v) > 0]
+        return float(np.median(found)) if found else 0.0
 
 
 def rough_lights(

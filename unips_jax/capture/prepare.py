@@ -11,7 +11,8 @@ from unips_jax.capture.motion import Motion, find_motion
 from unips_jax.capture.registration import register
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_linear, srgb_encode
-from unips_jax.io.images import ImageFile
+from unips_jax.io.images import ImageFile, require_finite
+from unips_jax.io.orientation import as_oriented
 from unips_jax.io.photographs import Capture
 
 
@@ -30,8 +31,13 @@ def with_suggested_mask(capture: Capture) -> Capture:
     mask |= guess.mask & small_holes(mask)
     mask |= filled_holes(mask, capture.images)[0]
     # What was left out of the whole image lies around the object: no news.
+    notes = tuple(note for note in capture.notes if not note.endswith(": left out"))
     return dataclasses.replace(
-        capture, mask=mask, mask_contrast=guess.figure, mask_rule=guess.rule, notes=()
+        capture,
+        mask=mask,
+        mask_contrast=guess.figure,
+        mask_rule=guess.rule,
+        notes=notes,
     )
 
 
@@ -42,15 +48,23 @@ def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> 
     dark frame is of another kind, or brighter than a photograph.
     """
     images = capture.images
-    table = dark.encoding.table
-    pixels = dark.pixels if table is None else table[dark.pixels]
+    dark = as_oriented(dark, capture.orientation)  # the camera stood still
+    encoding = capture.encoding or dark.encoding
+    if encoding.rule != "--transfer" and not dark.encoding.agrees(encoding):
+        raise InputError(
+            f"{dark.path}: expected {encoding.transfer} values as the photographs "
+            f"({encoding.rule}), got {dark.encoding.transfer} ones "
+            f"({dark.encoding.rule}); export it as the others, or give --transfer"
+        )
+    pixels = encoding.values(dark.pixels)
     if pixels.shape[:2] != images.shape[1:3] or pixels.dtype != images.dtype:
         raise InputError(
             f"{dark.path}: expected a dark frame as the photographs, "
             f"{list(images.shape[1:3])} of {images.dtype}, got "
             f"{list(pixels.shape[:2])} of {pixels.dtype}; take it as the others"
         )
-    ambient = as_linear(pixels, capture.transfer)
+    require_finite(dark.path, pixels[capture.mask])
+    ambient = np.maximum(np.nan_to_num(as_linear(pixels, capture.transfer)), 0)
     wide = np.float32 if images.dtype == np.float32 else np.uint16
     result = np.empty(images.shape, wide)
     for index, image in enumerate(images):

@@ -18,7 +18,7 @@ from unips_jax.io.color import CURVES, encoding_of, srgb_encode
 from unips_jax.io.door import new_file, write_whole
 from unips_jax.io.formats.encoded import NotRead, box_transfer_code, known_code
 from unips_jax.io.formats.raster import marked_srgb
-from unips_jax.io.formats.tiff import count_pages
+from unips_jax.io.formats.tiff import count_pages, open_page
 from unips_jax.io.images import MAX_PIXELS, encode_image
 from unips_jax.io.naming import VIDEO_SUFFIXES
 from unips_jax.io.results import clear_leftovers, workspace
@@ -42,7 +42,7 @@ _MATROSKA_COLOURS = re.compile(rb"\x55\xb0.{1,60}?\x55\xba\x81(.)", re.DOTALL)
 _THUMB = 48  # pixels of the longer side
 _SHARP = 0.8  # of the sharpest of neighbours
 _NEIGHBOURS = 2
-_ICC, _REDUCED = 34675, 1 | 4
+_ICC, _ORIENTATION, _REDUCED, _YCBCR = 34675, 274, 1 | 4, 6
 
 
 def is_container(path: Path) -> bool:
@@ -85,13 +85,17 @@ def _unpack_pages(path: Path, folder: Path, max_pixels: int) -> None:
         # Of an OME-TIFF other files may be parts.
         with tifffile.TiffFile(path, is_ome=False) as tiff:
             images = _pages(tiff, path, max_pixels)
-            for index, (pixels, icc) in enumerate(images, 1):
+            for index, (pixels, icc, turn) in enumerate(images, 1):
+                samples = pixels.shape[2] if pixels.ndim == 3 else 1
                 with new_file(folder / f"page_{index:03}.tif") as file:
                     tifffile.imwrite(
                         file,
                         pixels,
-                        photometric="rgb" if pixels.ndim == 3 else "minisblack",
+                        photometric="rgb" if samples > 2 else "minisblack",
+                        planarconfig="contig" if samples > 1 else None,
+                        extrasamples=["unassalpha"] if samples in (2, 4) else None,
                         iccprofile=icc,
+                        extratags=[(_ORIENTATION, "H", 1, int(turn), True)],
                         metadata=None,
                     )
     except (InputError, OSError):
@@ -106,14 +110,15 @@ def _unpack_pages(path: Path, folder: Path, max_pixels: int) -> None:
 
 def _pages(
     tiff: tifffile.TiffFile, path: Path, max_pixels: int
-) -> Iterator[tuple[np.ndarray, bytes | None]]:
+) -> Iterator[tuple[np.ndarray, bytes | None, int]]:
     pages = [
         page
         for page in tiff.pages
         if isinstance(page, tifffile.TiffPage) and not int(page.subfiletype) & _REDUCED
     ]
     stack = None
-    if len(pages) == 1 and tiff.is_imagej and len(tiff.series[0].shape) > 2:
+    images = (tiff.imagej_metadata or {}).get("images", 1)  # its stacks may be one page
+    if len(pages) == 1 and int(images) > 1:
         _check_size(path, pages[0].imagelength, pages[0].imagewidth, max_pixels)
         stack = tiff.series[0].asarray()
     count = len(pages) if stack is None else len(stack)
@@ -125,8 +130,14 @@ def _pages(
     for index in range(count):
         page = pages[0 if stack is not None else index]
         _check_size(path, page.imagelength, page.imagewidth, max_pixels)
-        icc = page.tags.valueof(_ICC)
-        yield stack[index] if stack is not None else page.asarray(), icc
+        icc, turn = page.tags.valueof(_ICC), page.tags.valueof(_ORIENTATION) or 1
+        if stack is not None:
+            pixels = stack[index]
+        elif page.photometric == _YCBCR:  # of a JPEG, which tifffile makes RGB
+            pixels = page.asarray()
+        else:  # as of a file of its own: palettes, few bits, white at zero
+            pixels = open_page(page).decode()
+        yield pixels, icc, turn
 
 
 def _check_size(path: Path, height: int, width: int, max_pixels: int) -> None:

@@ -4,12 +4,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from unips_jax.errors import InputError
-from unips_jax.io.images import image_header, read_bytes
+from unips_jax.io.images import MAX_PIXELS, image_header, read_bytes
 
 
-def views_by_time(files: Sequence[Path], pause: float) -> list[list[Path]]:
+def views_by_time(
+    files: Sequence[Path], pause: float, *, max_pixels: int = MAX_PIXELS
+) -> list[list[Path]]:
     """Sorts photographs by time; a pause of more than `pause` seconds begins a view."""
-    times = {file: image_header(read_bytes(file), file).taken for file in files}
+    times = {}
+    for file in files:
+        data = read_bytes(file, max_pixels=max_pixels)
+        times[file] = image_header(data, file, max_pixels=max_pixels).taken
     unknown = [file for file, time in times.items() if not time]
     if unknown:
         raise InputError(

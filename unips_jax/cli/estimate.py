@@ -188,7 +188,7 @@ def _views(folder: Path, target: Path, how: FolderOptions, pause: float) -> list
             "photographs of each view into a folder of their own, with its mask, or "
             "give --mask none"
         )
-    views = views_by_time(selection.files, pause)
+    views = views_by_time(selection.files, pause, max_pixels=how.max_pixels)
     counts = " + ".join(str(len(view)) for view in views)
     print(f"{folder}: {len(views)} views, of {counts} photographs")
     return [

@@ -32,6 +32,10 @@ class Encoding:
     rule: str
     table: np.ndarray | None = None
 
+    def values(self, pixels: np.ndarray) -> np.ndarray:
+        """A file's pixels as values for which the transfer function holds."""
+        return pixels if self.table is None else self.table[pixels]
+
     def agrees(self, other: "Encoding") -> bool:
         """Whether equal values encode equal light."""
         if self.table is None or other.table is None:

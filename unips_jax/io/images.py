@@ -131,7 +131,7 @@ def read_linear(path: Path) -> np.ndarray:
     """An image file's linear light, all finite: `[H, W, 3]`."""
     file = read_image_file(path)
     require_finite(path, file.pixels)
-    linear = as_linear(file.pixels, file.encoding.transfer)
+    linear = as_linear(file.encoding.values(file.pixels), file.encoding.transfer)
     return np.broadcast_to(linear, (*linear.shape[:2], 3))
 
 

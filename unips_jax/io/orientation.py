@@ -5,12 +5,23 @@ shown turned. Edges decide what fits.
 """
 
 import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.images import ImageFile, turned
+from unips_jax.io.images import (
+    MAX_PIXELS,
+    ImageFile,
+    decode_image,
+    image_header,
+    read_bytes,
+    read_image_file,
+    turned,
+)
 
 _SIDE = 128  # pixels of the longer side, where edges are compared
 _ALIKE, _CLEARLY = 0.3, 0.15  # correlations
@@ -25,6 +36,26 @@ def oriented_as(file: ImageFile, first: ImageFile, image: np.ndarray) -> ImageFi
     if as_stored > as_shown:
         return stored
     return dataclasses.replace(file, orientation=first.orientation)
+
+
+def read_as_estimated(
+    path: Path, record: Mapping[str, Any], *, max_pixels: int = MAX_PIXELS
+) -> np.ndarray:
+    """A photograph as an estimate had it, by its record: `[H, W, 1 or 3]`.
+
+    Turned as the first one; the record's "transfer" holds for the values.
+    """
+    file = read_image_file(path, max_pixels=max_pixels)
+    first = path.with_name(next(iter(record.get("images", ())), path.name))
+    if path != first:
+        data = read_bytes(first, max_pixels=max_pixels)
+        header = image_header(data, first, max_pixels=max_pixels)
+        if header.orientation != file.orientation:
+            start = decode_image(data, first, max_pixels=max_pixels)
+            file = oriented_as(file, start, start.pixels)
+    if record.get("transfer_rule") == "--transfer":
+        return file.pixels
+    return file.encoding.values(file.pixels)
 
 
 def require_orientation(file: ImageFile, first: ImageFile) -> None:

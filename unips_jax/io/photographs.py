@@ -61,6 +61,9 @@ class Capture:
     # how sure a mask is that was looked for; None where none was
     mask_contrast: float | None = None
     mask_rule: str = ""  # what found it; empty where nothing did
+    # how the first file's values encode light, and how it was turned by EXIF
+    encoding: Encoding | None = None
+    orientation: int = 1
 
 
 def read_photographs(
@@ -128,6 +131,8 @@ def read_capture(
         tuple(notes),
         tuple(stack.cameras),
         tuple(stack.exposures),
+        encoding=encoding,
+        orientation=stack.first.orientation,
     )
 
 
@@ -170,8 +175,7 @@ class _Stack:
         self.exposures.append(file.header.exposure)
         image = self.images[self._size]
         self._size += 1
-        table = self.encoding.table
-        image[:] = file.pixels if table is None else table[file.pixels]
+        image[:] = self.encoding.values(file.pixels)
         if image.dtype == np.float32:
             require_finite(file.path, image[self.mask])
             np.nan_to_num(image, copy=False, nan=0, posinf=0, neginf=0)

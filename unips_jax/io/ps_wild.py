@@ -126,7 +126,8 @@ def write_folder(
         depth: `[H, W]`, kept as `depth.exr`; 0 outside the mask.
         name: of the images' files, by number.
     """
-    with appearing_at_once(folder, record=META) as place:
+    earlier = "[0lL]*.png [0lL]*.tif baseColor.tif roughness.tif metal.tif".split()
+    with appearing_at_once(folder, record=META, ours=earlier) as place:
         _write_files(place, images, mask, normals, name)
         for title, values in (maps or {}).items():
             write_image(place / f"{title}.tif", encode_linear(values))

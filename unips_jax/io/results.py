@@ -31,7 +31,9 @@ _RESULTS = frozenset(
     "plane_4.jpg plane_5.jpg".split()
     + [RECORD]
 )
-_EDITABLE = frozenset(["view.html"])  # readers save their notes into it
+_MASK, _VIEW = "mask.png", "view.html"
+_EDITABLE = frozenset([_VIEW])  # readers save their notes into it
+_WITHOUT_NOTES = b'<script type="application/json" id="notes">{}</script>'
 # Names apart from the results': those may be as long as names can be.
 _WORK = ".unips-"
 _BEFORE = "before-"
@@ -205,9 +207,12 @@ def workspace(parent: Path) -> Iterator[Path]:
 
 def _carry_over(place: Path, new: Path, record: str, patterns: Sequence[str]) -> None:
     """Takes the user's files along, as further names of the same files."""
-    ours = {*_RESULTS, record} | {file.name for file in new.iterdir()}
+    earlier: dict[str, Any] = {}
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        ours |= set(json.loads((place / record).read_bytes())["files"])
+        listed = json.loads((place / record).read_bytes())["files"]
+        earlier = dict(listed) if isinstance(listed, dict) else dict.fromkeys(listed)
+    ours = {*_RESULTS, record, *earlier} - _by_hand(place, earlier)
+    ours |= {file.name for file in new.iterdir()}
 
     def left(folder: str, names: list[str]) -> set[str]:
         if Path(folder) != place:
@@ -223,6 +228,17 @@ def _carry_over(place: Path, new: Path, record: str, patterns: Sequence[str]) ->
         copy_function=link_or_copy,
         dirs_exist_ok=True,
     )
+
+
+def _by_hand(place: Path, hashes: dict[str, Any]) -> set[str]:
+    """Of the files that are ours those that a reader changed: there may be no copy."""
+    mask, view, found = place / _MASK, place / _VIEW, set()
+    with contextlib.suppress(OSError, InputError):
+        if mask.is_file() and hashes.get(_MASK) not in (None, file_hash(mask)):
+            found.add(_MASK)
+        if view.is_file() and _WITHOUT_NOTES not in view.read_bytes():
+            found.add(_VIEW)
+    return found
 
 
 def link_or_copy(source: str, target: str) -> None:

@@ -91,6 +91,11 @@ def open_tiff(data: bytes) -> Encoded:
     page = _photograph(tiff)
     for line in complaints.lines():
         raise Damaged(f"the decoder says: {line[:120]}")
+    return open_page(page)
+
+
+def open_page(page: tifffile.TiffPage) -> Encoded:
+    """Reads the tags of one page; see `open_tiff`."""
     _require_known(page)
     bits, samples = page.bitspersample, page.samplesperpixel
     colours = 3 if page.photometric == _RGB else 1
