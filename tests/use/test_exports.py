@@ -2,12 +2,15 @@
 
 import io
 import json
+import os
+import struct
 import zipfile
 
 import cv2
 import numpy as np
 import pytest
 from gltf_reader import read_glb
+from picture_files import png, save
 from plain_objects import hemisphere, rippled_dome
 
 from unips_jax.cli.surface import main as surface
@@ -93,6 +96,7 @@ def test_the_command_writes_all_three(tmp_path):
         "cat-normals.npy",
         "cat-depth.exr",
         "cat-height.png",
+        "cat-surface.json",
         "cat.glb",
         "cat.stl",
     }
@@ -101,3 +105,36 @@ def test_the_command_writes_all_three(tmp_path):
     assert "cat.stl: the surface as a solid on a base" in text
     record = json.loads((out / "surface.json").read_text())
     assert record["exports"]["print"]["longest_side"] == pytest.approx(100)
+    assert "surface.json" in record["exports"]["archive"]
+    assert sorted([*record["files"], "surface.json"]) == sorted(os.listdir(out))
+
+
+@pytest.mark.parametrize(
+    ("folder", "name"), [("coin_v1.2", "coin_v1.2"), ("caf\udce9", "caf\ufffd")]
+)
+def test_files_have_the_folders_name(tmp_path, folder, name):
+    """With a dot, and in an encoding of its own."""
+    (tmp_path / folder).mkdir()
+    np.save(tmp_path / folder / "normals.npy", hemisphere(24)[0])
+    out = tmp_path / "out"
+    assert surface([str(tmp_path / folder), "-o", str(out), "--export", "archive"]) == 0
+    with zipfile.ZipFile(out / f"{name}.zip") as packed:
+        assert f"{name}/{name}-depth.exr" in packed.namelist()
+
+
+def test_a_photographs_own_curve_is_undone_and_its_faults_are_named(tmp_path, capsys):
+    np.save(tmp_path / "n.npy", hemisphere(24)[0])
+    gamma = {b"gAMA": struct.pack(">I", 55556)}  # 1 / 1.8
+    (tmp_path / "a.png").write_bytes(
+        png(np.full((24, 24, 3), 128, np.uint8), 2, 8, gamma)
+    )
+    arguments = [str(tmp_path / "n.npy"), "-o", str(tmp_path / "out"), "--mesh", "ply"]
+    assert surface([*arguments, "--photograph", str(tmp_path / "a.png")]) == 0
+    colors = trimesh.load(tmp_path / "out" / "mesh.ply").visual.vertex_colors
+    assert np.unique(colors[:, :3]) == pytest.approx(146, abs=1)
+    broken = np.full((24, 24, 3), 0.5, np.float32)
+    broken[3, 4] = np.nan
+    save(tmp_path / "a.exr", broken)
+    capsys.readouterr()
+    assert surface([*arguments, "--photograph", str(tmp_path / "a.exr")]) == 2
+    assert "a.exr: expected finite values, got 3" in capsys.readouterr().err

@@ -81,9 +81,10 @@ def test_gradients_by_lights_are_finite(photographs):
 
 def test_lights_that_do_not_fit_are_refused(photographs):
     images, mask, lights = photographs
-    with pytest.raises(ValueError, match=r"lights: expected \[N, 3\] = \(3, 3\)"):
-        estimate_normals(network(), images, mask, lights=lights[:2])
     for estimate in (estimate_normals, estimate_photographs):
+        for wrong in (lights[:2], np.concatenate([lights, lights]), lights[:, :2]):
+            with pytest.raises(ValueError, match=r"expected \[N, 3\] = \(3, 3\), one"):
+                estimate(network(), images, mask, lights=wrong)
         with pytest.raises(ValueError, match="a network that guesses lights, as the"):
             estimate(lively_network(SHALLOW), images, mask, lights=lights)
 

@@ -1,6 +1,7 @@
 """`relight`, and `unips relight`."""
 
 import json
+from pathlib import Path
 
 import cv2
 import jax
@@ -281,11 +282,15 @@ def test_command_takes_the_lights_of_photographs(result, tmp_path):
         (["--roughness", "2"], "--roughness: expected 0.03 to 1.0, got 2.0"),
         (["--environment", "absent.hdr"], "absent.hdr: "),
         (["--base-color", "small.png"], "expected the normals' size, 24 x 24"),
+        (["--lights-from", "empty.lp"], "empty.lp: expected lights, one a line"),
+        (["--lights-from", "zero.lp"], "zero.lp: expected lights, one a line"),
     ],
 )
 def test_bad_options_are_one_line(options, message, result, capsys, monkeypatch):
     monkeypatch.chdir(result.parent)
     cv2.imwrite("small.png", np.full((4, 5), 255, np.uint8))
+    Path("empty.lp").write_text("")
+    Path("zero.lp").write_text("0\n")
     assert main(["thing", "-o", "out", *options]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1

@@ -11,6 +11,7 @@ from unips_jax.cli.estimate import main as estimate
 from unips_jax.cli.surface import main as surface
 from unips_jax.io.normals import encode_normals
 from unips_jax.io.photographs import select
+from unips_jax.viewer.page import notes_in
 
 trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")
 
@@ -137,6 +138,12 @@ def test_estimate_writes_depth_and_mesh(tmp_path):
     depth = read_depth(out)
     assert np.exp(np.log(depth).mean()) == pytest.approx(1, abs=1e-4)
     assert estimate([*arguments, "--focal", "80", "--view"]) == 0  # up to date
+    # What a reader wrote into the page is in the next one too.
+    html, notes = (out / "view.html").read_text(), {"notes": [], "views": [1]}
+    html = html.replace('id="notes">{}<', f'id="notes">{json.dumps(notes)}<')
+    (out / "view.html").write_text(html)
+    assert estimate([*arguments, "--focal", "90", "--view"]) == 0
+    assert notes_in(out / "view.html") == notes
     # The results are no photographs, should they be read as a folder of them.
     (out / "photo.png").write_bytes((folder / "0.png").read_bytes())
     assert select(out).names == ("photo.png",)

@@ -88,6 +88,11 @@ def test_dark_photographs_keep_their_levels_in_glb(tmp_path):
     found = content["accessors"][number]
     assert found["normalized"] and found["componentType"] == 5123
     assert len(np.unique(accessor(number)[:, 0])) == 64
+    # A mesh without a material is metal, seen from one side.
+    (material,) = content["materials"]
+    assert content["meshes"][0]["primitives"][0]["material"] == 0
+    assert material["doubleSided"]
+    assert material["pbrMetallicRoughness"]["metallicFactor"] == 0
 
 
 def test_glb_is_whole(tmp_path):

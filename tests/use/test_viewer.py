@@ -4,17 +4,22 @@ import base64
 import dataclasses
 import json
 import re
+import struct
 from pathlib import Path
 
 import cv2
 import known_results
 import numpy as np
 import pytest
+from picture_files import png, save, smooth, with_orientation
 
 from unips_jax.cli.view import main as view
 from unips_jax.io.images import write_image
+from unips_jax.io.orientation import read_as_estimated
+from unips_jax.io.photographs import read_capture
 from unips_jax.io.results import file_hash, read_record
-from unips_jax.viewer.layers import layers_of, view_of
+from unips_jax.io.selection import select
+from unips_jax.viewer.layers import color_of, layers_of, view_of
 from unips_jax.viewer.page import (
     BUDGET,
     notes_in,
@@ -178,6 +183,53 @@ def test_photographs_that_moved_or_changed(folder, tmp_path, capsys):
     error = capsys.readouterr().err
     assert "expected the photograph that the normals are from" in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_photographs_lie_as_they_were_estimated(tmp_path, orientation):
+    """The camera stood still, whatever its files say is up."""
+    picture = smooth(np.uint8, height=40, width=64)
+    for name, tag in (("a.jpg", 1), ("b.jpg", orientation), ("c.jpg", 1)):
+        path = save(tmp_path / name, picture)
+        path.write_bytes(with_orientation(path.read_bytes(), tag))
+    capture = read_capture(select(tmp_path))
+    record = {"images": dict.fromkeys(["a.jpg", "b.jpg", "c.jpg"])}
+    for name, image in zip(record["images"], capture.images, strict=True):
+        found = read_as_estimated(tmp_path / name, record)
+        np.testing.assert_array_equal(found, image)
+
+
+@pytest.mark.parametrize("given", [None, "srgb"])
+def test_photographs_have_the_values_that_were_estimated_from(tmp_path, given):
+    gamma = {b"gAMA": struct.pack(">I", 55556)}  # 1 / 1.8
+    picture = smooth(np.uint8, height=8, width=9)
+    (tmp_path / "a.png").write_bytes(png(picture, 2, 8, gamma))
+    capture = read_capture(select(tmp_path), transfer=given)
+    record = {"images": {"a.png": ""}, "transfer_rule": capture.transfer_rule}
+    found = read_as_estimated(tmp_path / "a.png", record)
+    np.testing.assert_array_equal(found, capture.images[0])
+    assert (capture.images[0] == picture).all() == (given is not None)
+
+
+def test_base_color_has_no_dark_rim_in_a_smaller_page():
+    y, x = np.mgrid[-1:1:300j, -1:1:300j]
+    normals = np.zeros((300, 300, 3), np.float32)
+    normals[..., 2] = x**2 + y**2 < 0.7
+    result = known_results.result(
+        normals=normals,
+        depth=None,
+        photographs=(),
+        base_color=0.8 * normals[..., [2] * 3],
+    )
+    view = view_of(result.inside, 100)
+    levels = decoded(color_of(result, view, None)["image"])[..., 0].astype(int)
+    kept = view.shrink(result.inside) > 0.5
+    assert np.abs(levels[kept] - levels[50, 50]).max() < 40  # of a JPEG's edges
+
+
+def test_names_in_any_encoding_are_shown():
+    html = page(known_results.result(title="caf\udce9"))
+    assert "caf?" in html and html.encode()
 
 
 def test_base_color_and_expected_error_are_shown(folder, tmp_path):

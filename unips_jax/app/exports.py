@@ -13,6 +13,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
 from unips_jax.io.door import write_whole, writing
 from unips_jax.io.images import read_image_file
+from unips_jax.io.orientation import read_as_estimated
 
 SUFFIXES = {"blender": ".glb", "print": ".stl", "archive": ".zip"}
 """Of each purpose's file."""
@@ -113,9 +114,10 @@ def _colors(
     else:
         mean = np.zeros(shape, np.float32)
         for photograph in chosen.photographs:
-            file = read_image_file(chosen.folder / photograph, max_pixels=max_pixels)
-            _require(file.pixels.shape[:2] == shape[:2], results)
-            mean += as_float(file.pixels) / len(chosen.photographs)
+            path = chosen.folder / photograph
+            pixels = read_as_estimated(path, record, max_pixels=max_pixels)
+            _require(pixels.shape[:2] == shape[:2], results)
+            mean += as_float(pixels) / len(chosen.photographs)
         colors = photograph_colors(mean, record.get("transfer", "srgb"))
     _require(colors.shape == shape, results)
     return colors

@@ -12,6 +12,7 @@ Method: bilateral normal integration (Cao et al., ECCV 2022), which keeps jumps.
 """
 
 import dataclasses
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +24,7 @@ import tyro
 from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.door import write_json, write_whole
-from unips_jax.io.images import read_image_file, require_size
+from unips_jax.io.images import read_image_file, require_finite, require_size
 from unips_jax.io.masks import read_mask
 from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap, read_numbers
@@ -118,8 +119,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     focal = focal_of(options.focal, exif, options.photograph)
     colors = None
     if photograph is not None:
-        pixels = photograph.pixels
-        colors = photograph_colors(pixels, photograph.encoding.transfer)
+        require_finite(photograph.path, photograph.pixels)
+        encoding = photograph.encoding
+        pixels = encoding.values(photograph.pixels)
+        colors = photograph_colors(pixels, encoding.transfer)
     names = (field.name for field in dataclasses.fields(SurfaceOptions))
     given = {name: getattr(options, name) for name in names} | {"focal": focal}
     start_jax()
@@ -147,6 +150,10 @@ def main(argv: Sequence[str] | None = None) -> None:
             "files": written,
         }
         write_json(place / RECORD, record, indent=2)
+        if "archive" in options.export:
+            exported["archive"] = _write_archive(options, place)
+            written = sorted([*written, f"{_name(options.normals)}.zip"])
+            write_json(place / RECORD, {**record, "files": written}, indent=2)
     print_surface(facts)
     print_line("wrote", f"{options.output}/: {', '.join([*written, RECORD])}")
 
@@ -158,11 +165,11 @@ def _exports(
     facts: dict[str, Any],
     colors: np.ndarray | None,
 ) -> dict[str, Any]:
-    """Writes what `--export` asks for; gives what the record states of it."""
+    """Writes models that `--export` asks for; gives what the record states of them."""
     if not options.export:
         return {}
     depth = read_depth(place / "depth.exr")
-    name = options.normals.resolve().stem
+    name = _name(options.normals)
     scale = Scale(facts["focal_px"], facts["scale"], facts["unit"])
     made: dict[str, Any] = {}
     if "blender" in options.export:
@@ -184,13 +191,24 @@ def _exports(
     if "print" in options.export:
         data, made["print"] = printable(depth, scale)
         write_whole(place / f"{name}.stl", data, sync=False)
-    if "archive" in options.export:
-        files = {file.name: file for file in results_of(options.normals)}
-        files |= {file.name: file for file in place.iterdir()}
-        packed = archive(name, [files[key] for key in sorted(files)])
-        write_whole(place / f"{name}.zip", packed, sync=False)
-        made["archive"] = sorted(files)
     return made
+
+
+def _write_archive(options: Options, place: Path) -> list[str]:
+    """Writes a ZIP of the results and of all that is in `place`; gives their names."""
+    name = _name(options.normals)
+    files = {file.name: file for file in results_of(options.normals)}
+    files |= {file.name: file for file in place.iterdir()}
+    packed = archive(name, [files[key] for key in sorted(files)])
+    write_whole(place / f"{name}.zip", packed, sync=False)
+    return sorted(files)
+
+
+def _name(normals: Path) -> str:
+    """That of the object: of a folder its name, of a file less its suffix."""
+    place = normals.resolve()
+    name = place.name if place.is_dir() else place.stem
+    return os.fsencode(name).decode(errors="replace")
 
 
 def _check(options: Options) -> None:

@@ -73,7 +73,7 @@ def write_estimate(
             record["surface"] = _write_surface(place, estimate, options, verbose)
         record |= write_extras(place, estimate, options)
         if options.view:
-            _write_view(place, target.name, estimate, record)
+            _write_view(place, target, estimate, record)
         if more is not None:
             more(place)
         names = write_record(place, record)
@@ -100,9 +100,9 @@ def _write_surface(
 
 
 def _write_view(
-    place: Path, title: str, estimate: Estimate, record: dict[str, Any]
+    place: Path, target: Path, estimate: Estimate, record: dict[str, Any]
 ) -> None:
-    """Writes `view.html`; its depth is that of the files, if there is one."""
+    """Writes `view.html`, with an earlier one's notes; its depth is the files'."""
     from unips_jax.surface.depth_files import read_depth
     from unips_jax.viewer.page import with_depth, write_view
     from unips_jax.viewer.result import Result, maps_of, photographs_of
@@ -110,7 +110,7 @@ def _write_view(
     surface = record.get("surface") or {}
     names = tuple(record["images"])
     result = Result(
-        title,
+        target.name,
         estimate.normals,
         photographs_of(estimate.images, names, estimate.transfer),
         read_depth(place / "depth.exr") if surface else None,
@@ -119,4 +119,5 @@ def _write_view(
         record=record,
         **maps_of(place, estimate.mask.shape),
     )
-    write_view(place / "view.html", with_depth(result))
+    name = "view.html"
+    write_view(place / name, with_depth(result), earlier=target / name)

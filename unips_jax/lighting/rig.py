@@ -59,6 +59,8 @@ def read_directions(path: Path, option: str) -> tuple[Sequence[str], np.ndarray]
     found = read_light_list(path)
     if found.problems:
         raise InputError(f"{option}: {found.problems[0]}")
+    if not found.names:
+        raise InputError(f"{option}: expected lights, one a line, got none")
     if found.lights.shape[1] != 3:
         raise InputError(
             f"{option}: expected directions, three numbers, got highlights' places in "

@@ -22,7 +22,7 @@ def colours_of(share: np.ndarray, name: str = COLOURS) -> np.ndarray:
 
 
 def normals_picture(normals: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(n + 1) / 2 as RGB: `[H, W, 3]`, uint8; black outside the mask."""
+    """(n + 1) / 2 as RGB: `[H, W, 3]`, uint8; white outside the mask."""
     finite = np.nan_to_num(normals, nan=0, posinf=0, neginf=0)
     return _on_white(np.clip((finite + 1) / 2, 0, 1), mask)
 

@@ -64,20 +64,19 @@ def encode_glb(
             place[key] = {"index": len(images)}
             kind = "image/png" if picture.startswith(b"\x89PNG") else "image/jpeg"
             images.append({"bufferView": buffer.view(picture), "mimeType": kind})
-    primitive: dict[str, Any] = {"attributes": attributes, "indices": indices}
+    primitive = {"attributes": attributes, "indices": indices, "material": 0}
     content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "unips_jax", "extras": facts or {}},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": name}],
         "meshes": [{"name": name, "primitives": [primitive]}],
+        "materials": [material],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data)}],
     }
     if images:
-        primitive["material"] = 0
-        content["materials"] = [material]
         content["images"] = images
         content["samplers"] = [{"wrapS": 33071, "wrapT": 33071}]  # clamped
         content["textures"] = [

@@ -98,7 +98,7 @@ def write_surface(
 ) -> dict[str, Any]:
     """Integrates normals and writes depth, height and, on request, a mesh.
 
-    Mask and prior are as for `integrate_image`; `colors [H, W, 3]`, uint8 or uint16,
+    Mask and prior are as for `integrate_image`; `colors [H, W, 3]`, uint8,
     sRGB, are the mesh's. Returns for the record camera, islands, rounds, unit and
     scale, the meaning of levels. `InputError` if no pixel has a normal, or the mesh
     cannot be written.

@@ -143,7 +143,7 @@ def _error(result: Result, view: View, kept: np.ndarray) -> dict[str, Any] | Non
 def color_of(result: Result, view: View, mean: np.ndarray | None) -> dict | None:
     """The object's colours: base colour if there is one, else the mean photograph."""
     if result.base_color is not None:
-        linear, kind = view.shrink(result.base_color), "base"
+        linear, kind = view.shrink_inside(result.base_color, result.inside), "base"
     elif mean is not None:
         inside = view.shrink(result.inside) > 0.5
         linear, kind = mean / white_of(mean, inside), "mean"

@@ -39,9 +39,9 @@ FOLDER_RECORD = "tiles.json"
 """By this file a folder of a page and its tiles is known."""
 
 
-def write_view(path: Path, result: Result) -> None:
-    """Writes a result's page; notes in the page that is there already are kept."""
-    notes = _notes_for(result, path)
+def write_view(path: Path, result: Result, *, earlier: Path | None = None) -> None:
+    """Writes a result's page; notes in the one there, or in `earlier`, are kept."""
+    notes = _notes_for(result, earlier or path)
     write_whole(path, page(result, notes=notes).encode())
 
 
@@ -140,7 +140,7 @@ def _render(title: str, data: dict[str, Any], notes: dict[str, Any] | None) -> s
         undefined=jinja2.StrictUndefined,
     )
     return environment.get_template("page.html.j2").render(
-        title=title,
+        title=title.encode(errors="replace").decode(),  # of a folder, in any encoding
         strings=data["strings"],
         data=_json(data),
         notes=_json(notes or {}),

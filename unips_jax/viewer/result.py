@@ -13,6 +13,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.io.images import read_bytes, read_image_file, read_linear, require_size
 from unips_jax.io.normal_maps import read_normal_map
+from unips_jax.io.orientation import read_as_estimated
 from unips_jax.io.results import whole_record
 from unips_jax.surface.depth_files import read_depth
 
@@ -122,7 +123,7 @@ def _photographs(
         found.append(
             Photograph(
                 name,
-                functools.partial(_photograph, path, record["transfer"], size),
+                functools.partial(_photograph, path, record, size),
                 bright=record["transfer"] == "linear",
             )
         )
@@ -133,12 +134,10 @@ def _photographs(
     return tuple(found)
 
 
-def _photograph(path: Path, transfer: Transfer, size: tuple[int, ...]) -> np.ndarray:
-    file = read_image_file(path)
-    pixels = file.pixels
-    if file.encoding.table is not None:
-        pixels = file.encoding.table[pixels]
-    linear = as_linear(pixels, transfer)
+def _photograph(
+    path: Path, record: dict[str, Any], size: tuple[int, ...]
+) -> np.ndarray:
+    linear = as_linear(read_as_estimated(path, record), record["transfer"])
     return np.broadcast_to(_of_size(path, linear, size), (*size, 3))
 
 

@@ -63,8 +63,8 @@ def write_tiles(folder: Path, result: Result, view: View) -> int:
     write("normals", lambda level: normals_as_bytes(result, level), png)
     mean = _write_photographs(write, result, view)
     if result.base_color is not None:
-        color = result.base_color
-        write("color", lambda level: encoded(level.shrink(color)), jpeg)
+        color, inside = result.base_color, result.inside
+        write("color", lambda at: encoded(at.shrink_inside(color, inside)), jpeg)
     elif mean is not None:
         color = mean / white_of(view.shrink(mean), view.shrink(result.inside) > 0.5)
         write("color", lambda level: encoded(level.shrink(color)), jpeg)
