@@ -23,6 +23,7 @@ from typing import Annotated, Any
 import tyro
 
 from unips_jax.console import command, parse, start_jax
+from unips_jax.errors import InputError
 from unips_jax.training.config import Config
 from unips_jax.training.recipes import load_config
 
@@ -52,6 +53,17 @@ class Options:
     fields: Annotated[Config, tyro.conf.arg(name="")] = Config()
 
 
+def _join_others(jax: Any) -> None:
+    try:
+        jax.distributed.initialize()
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            "--distributed: expected other processes to join, as SLURM, Kubernetes and "
+            f"TPU pods start them, got none: {reason}; leave it out on one machine"
+        ) from None
+
+
 @command
 def main(argv: Sequence[str] | None = None) -> None:
     """`unips train`."""
@@ -69,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     import jax
 
     if options.distributed:
-        jax.distributed.initialize()
+        _join_others(jax)
     start_jax()
 
     from unips_jax.training.restarts import Restarts

@@ -4,12 +4,15 @@ import dataclasses
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
+import training_runs
 from flax.traverse_util import flatten_dict
 from small_networks import SMALL_OURS, lively_weights
 
@@ -126,6 +129,37 @@ def test_bad_input_is_named(tmp_path):
 def test_configurations_name_the_field(part, field, value):
     with pytest.raises(ValueError, match=f"{field}: expected"):
         altered(part, **{field: value})
+
+
+def test_sigterm_is_waited_for_until_the_checkpoint_is_written(tmp_path, monkeypatch):
+    """A second one must not end the process while the first one's is on its way."""
+    asked = []
+
+    def leave(self, *_):
+        handler = signal.getsignal(signal.SIGTERM)
+        assert callable(handler)
+        os.kill(os.getpid(), signal.SIGTERM)
+        asked.append(handler)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(loop.Checkpoints, "__exit__", leave)
+    monkeypatch.setattr(loop, "_new_state", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        loop.train(training_runs.CONFIG, tmp_path)
+    assert len(asked) == 1
+
+
+def test_joining_nobody_is_one_line(tmp_path):
+    """In a process of its own: nothing may have used JAX before."""
+    command = [sys.executable, "-m", "unips_jax.train", "--config", "tiny"]
+    command += ["--workdir", str(tmp_path / "run"), "--distributed"]
+    alone = {k: v for k, v in os.environ.items() if not k.startswith("SLURM")}
+    done = subprocess.run(command, env=alone, capture_output=True, text=True)
+    assert done.returncode == 2 and "\n" not in done.stderr.strip()
+    assert done.stderr.startswith("error: --distributed: expected other processes")
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_signal_handler_is_put_back():

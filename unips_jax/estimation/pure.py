@@ -14,7 +14,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from unips_jax.models import chunks, ops
-from unips_jax.models.config import require_known_lights
+from unips_jax.models.config import check_lights
 from unips_jax.models.network import (
     UniversalNetwork,
     decode,
@@ -111,13 +111,8 @@ def estimate_normals(
 def _checked_lights(
     network: UniversalNetwork, images: Array, lights: ArrayLike
 ) -> Array:
-    require_known_lights(network.config)
     lights = jnp.asarray(lights)
-    if lights.shape != (len(images), 3):
-        raise ValueError(
-            f"lights: expected [N, 3] = {(len(images), 3)}, one direction per image, "
-            f"got {lights.shape}"
-        )
+    check_lights(network.config, lights.shape, len(images))
     return lights.astype(ops.wide_dtype(lights.dtype))
 
 

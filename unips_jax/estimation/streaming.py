@@ -15,7 +15,7 @@ from jax import Array
 from unips_jax.estimation.programs import kept
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.models import chunks
-from unips_jax.models.config import require_known_lights
+from unips_jax.models.config import check_lights
 from unips_jax.models.network import (
     Encoding,
     UniversalNetwork,
@@ -109,7 +109,8 @@ def estimate_with_lights(
 ) -> NormalsAndLights:
     """`estimate_photographs`, and the guessed lights; `preview` gets a coarse grid."""
     if lights is not None:
-        require_known_lights(network.config)
+        lights = np.asarray(lights)
+        check_lights(network.config, lights.shape, len(images))
     count, padded = len(images), padded_size(len(images))
     valid = np.arange(padded) < count
     linear = functools.partial(as_linear, transfer=transfer)

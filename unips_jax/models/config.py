@@ -340,4 +340,14 @@ def require_known_lights(config: ModelConfig) -> None:
     )
 
 
+def check_lights(config: ModelConfig, shape: tuple[int, ...], images: int) -> None:
+    """Raises `ValueError` unless known lights of this shape fit network and images."""
+    require_known_lights(config)
+    require(
+        shape == (images, 3),
+        f"lights: expected [N, 3] = {(images, 3)}, one direction per image, got "
+        f"{shape}",
+    )
+
+
 NETWORKS = {"unips": UniPSConfig, "self_calibrating": SelfCalibratingConfig}

@@ -24,7 +24,10 @@ from unips_jax.scenes.tracing import object_point
 
 
 class Scene(NamedTuple):
-    """One object under N lights."""
+    """One object under N lights.
+
+    With `jax_enable_x64` all is float64, and a seed gives other scenes.
+    """
 
     # `[N, H, W, 3]` float32 in [0, 1] as the camera recorded them, linear or not, zero
     # outside the mask

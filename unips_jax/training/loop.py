@@ -79,9 +79,9 @@ def train(
     abstract = _abstract_state(config, init_key, mesh)
     check_memory(abstract, mesh)
     with (
+        stop_on_sigterm() as stop,  # until the last checkpoint is written
         alone_in(workdir),
         Checkpoints(workdir, config) as checkpoints,
-        stop_on_sigterm() as stop,
     ):
         if checkpoints.latest_step() is None:
             state = _new_state(config, init_key, abstract, init_weights)
@@ -129,6 +129,8 @@ def train(
                     else f"stopped by SIGTERM after step {step}; checkpoint saved"
                 )
                 break
+    if restarts is not None and stop.is_set():
+        restarts.due = False
     network = UniversalNetwork(config.model, to_host(state.released_params()))
     _write_weights(workdir / "last.safetensors", config, network, int(state.step), {})
     return state
