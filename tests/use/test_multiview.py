@@ -1,14 +1,17 @@
 """Several views of an object, read back by the conventions of those who read them."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from picture_files import png_with_orientation
 
 from unips_jax.cli.multiview import main
-from unips_jax.io.images import read_image, write_image
+from unips_jax.io.images import read_image, turned, write_image
 from unips_jax.io.normals import decode_normals, write_normals
+from unips_jax.io.orientation import normals_as_stored
 from unips_jax.io.results import file_hash, write_record
 
 WIDTH, HEIGHT, FOCAL = 60, 44, 70.0
@@ -92,6 +95,13 @@ def write_results(folder, index, *, half=False, color=True):
     return result
 
 
+def record_anew(folder):
+    """After its files were changed."""
+    record = json.loads((folder / "normals.json").read_text())
+    (folder / "normals.json").unlink()
+    write_record(folder, record)
+
+
 def given(tmp_path, version="1.2", **options):
     content = sfm_data(tmp_path, version)
     (tmp_path / "in.sfm").write_text(json.dumps(content))
@@ -133,6 +143,72 @@ def test_idr_cameras_project_as_the_views_do(tmp_path, version, capsys):
         column, row = (spot[:2] / spot[2]).astype(int)
         turned = camera(index)[0].T @ (normals[row, column] * [1, -1, -1])
         assert turned @ towards / np.linalg.norm(towards) > 0.99
+
+
+@pytest.mark.parametrize(("orientation", "back"), [(3, 3), (6, 8), (8, 6)])
+def test_results_are_turned_as_the_cameras_pictures(tmp_path, orientation, back):
+    """SfMData has pictures as they are stored, results as viewers show them."""
+    (tmp_path / "plain").mkdir()
+    results = given(tmp_path / "plain")
+    command = ["--sfm", str(tmp_path / "plain" / "in.sfm"), "-o"]
+    assert main([*results, *command, str(tmp_path / "expected")]) == 0
+    results = given(tmp_path)
+    for index, folder in enumerate(map(Path, results)):
+        for path in (tmp_path / f"place{index}").iterdir():
+            path.write_bytes(png_with_orientation(path.read_bytes(), orientation))
+        write_normals(folder, normals_as_stored(seen(index), back))
+        color = read_image(folder / "base_color.png")
+        write_image(folder / "base_color.png", turned(color, orientation))
+        record_anew(folder)
+    command = ["--sfm", str(tmp_path / "in.sfm"), "-o", str(tmp_path / "out")]
+    assert main([*results, *command]) == 0
+    found, expected = (
+        np.load(tmp_path / n / "cameras.npz") for n in ("out", "expected")
+    )
+    for name in expected:
+        np.testing.assert_allclose(found[name], expected[name], atol=1e-9)
+    for name in ("normal", "mask", "albedo"):
+        pictures = (tmp_path / n / name / "001.png" for n in ("out", "expected"))
+        difference = np.subtract(*(read_image(p).astype(int) for p in pictures))
+        assert np.abs(difference).max() <= 1  # 0 is halfway between two levels
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_normals_turn_with_their_picture(orientation):
+    height = cv2.GaussianBlur(np.random.default_rng(0).random((20, 30)), (0, 0), 3)
+
+    def normals(height):
+        down, right = np.gradient(height)
+        return np.stack([-right, down, np.ones_like(height)], -1)
+
+    shown = normals(turned(height, orientation))
+    np.testing.assert_allclose(normals_as_stored(shown, orientation), normals(height))
+
+
+def test_nothing_of_an_earlier_run_stays(tmp_path):
+    """But for what is the user's."""
+    results, out = given(tmp_path), tmp_path / "out"
+    command = ["--sfm", str(tmp_path / "in.sfm"), "-o", str(out)]
+    assert main([*results, *command]) == 0
+    (out / "notes.txt").write_text("mine")
+    (Path(results[0]) / "base_color.png").unlink()
+    record_anew(Path(results[0]))
+    assert main([*results[:2], *command]) == 0
+    assert not (out / "albedo").exists() and not (out / "albedos.sfm").exists()
+    assert sorted(path.name for path in (out / "normal").iterdir()) == (
+        ["000.png", "001.png"]
+    )
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_pictures_of_another_shape_are_refused(tmp_path, capsys):
+    results = given(tmp_path)
+    write_normals(Path(results[1]), seen(1, HEIGHT, HEIGHT))
+    record_anew(Path(results[1]))
+    command = ["--sfm", str(tmp_path / "in.sfm"), "-o", str(tmp_path / "out")]
+    assert main([*results, *command]) == 2
+    said = "expected normals of the shape of pose 6, 60 x 44, got 44 x 44"
+    assert said in capsys.readouterr().err
 
 
 def test_sfm_data_has_scaled_lenses_and_pictures(tmp_path):

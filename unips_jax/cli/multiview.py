@@ -26,11 +26,14 @@ from unips_jax.io.cameras import (
     sfm_data_of,
 )
 from unips_jax.io.door import new_file, write_json
-from unips_jax.io.images import read_image, write_image
+from unips_jax.io.images import image_header, read_bytes, read_image, write_image
 from unips_jax.io.normal_maps import read_normal_map
 from unips_jax.io.normals import encode_normals
+from unips_jax.io.orientation import normals_as_stored, turned_back
 from unips_jax.io.record import print_line
+from unips_jax.io.record_schema import load_record
 from unips_jax.io.results import (
+    RECORD,
     appearing_at_once,
     check_target,
     file_hash,
@@ -79,7 +82,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             "estimate from photographs without distortion (Meshroom: ExportImages)",
             file=sys.stderr,
         )
-    with appearing_at_once(options.output, record=FOLDER_RECORD) as place:
+    ours = "normal mask albedo normals.sfm masks.sfm albedos.sfm".split()
+    with appearing_at_once(options.output, record=FOLDER_RECORD, ours=ours) as place:
         radius = _write(place, options.output, pairs, content)
     print_line("wrote", f"{options.output}: {len(pairs)} views, radius {radius:.4g}")
 
@@ -101,6 +105,27 @@ def _camera_of(folder: Path, cameras: list[Camera], sfm: Path) -> Camera:
     )
 
 
+def _orientation(camera: Camera, folder: Path) -> int:
+    """How EXIF turned the photographs: cameras are those of the pictures as stored."""
+    record = load_record(folder / RECORD)
+    own = Path(record["folder"]) / next(iter(record["images"]))
+    for path in (own, *map(Path, camera.photographs)):
+        if path.is_file():
+            return image_header(read_bytes(path), path).orientation
+    return 1
+
+
+def _size(camera: Camera, folder: Path, mask: np.ndarray) -> tuple[int, int]:
+    """Width and height of a result, of the shape that the camera has."""
+    (height, width), (across, down) = mask.shape, camera.size
+    if abs(width * down - height * across) > max(across, down):
+        raise InputError(
+            f"{folder}: expected normals of the shape of pose {camera.pose}, {across} "
+            f"x {down}, got {width} x {height}; estimate from the files that it lists"
+        )
+    return width, height
+
+
 def _write(
     place: Path, target: Path, pairs: list[tuple[Camera, Path]], content: dict[str, Any]
 ) -> float:
@@ -108,16 +133,17 @@ def _write(
     colors = all((folder / "base_color.png").is_file() for _, folder in pairs)
     kinds = ["normal", "mask", *(["albedo"] if colors else [])]
     masks, sizes = [], []
-    for index, (_, folder) in enumerate(pairs):
-        normals = read_normal_map(folder).normals
+    for index, (camera, folder) in enumerate(pairs):
+        turn = _orientation(camera, folder)
+        normals = normals_as_stored(read_normal_map(folder).normals, turn)
         mask = (normals != 0).any(axis=-1)
         masks.append(mask)
-        sizes.append((mask.shape[1], mask.shape[0]))
+        sizes.append(_size(camera, folder, mask))
         name = f"{index:03}.png"
         write_image(place / "normal" / name, encode_normals(normals))
         write_image(place / "mask" / name, mask.astype(np.uint8) * 255)
         if colors:
-            color = read_image(folder / "base_color.png")
+            color = turned_back(read_image(folder / "base_color.png"), turn)
             write_image(place / "albedo" / name, color)
     center, radius = enclosing_sphere(cameras, masks)
     arrays: dict[str, Any] = dict(idr_cameras(cameras, sizes, center, radius))

@@ -73,7 +73,7 @@ def as_oriented(file: ImageFile, orientation: int) -> ImageFile:
     """The same file, turned as if EXIF had asked for it: from 1 (as stored) to 8."""
 
     def again(image: np.ndarray) -> np.ndarray:
-        return turned(_turned_back(image, file.orientation), orientation)
+        return turned(turned_back(image, file.orientation), orientation)
 
     alpha = None if file.alpha is None else again(file.alpha)
     return dataclasses.replace(
@@ -81,7 +81,18 @@ def as_oriented(file: ImageFile, orientation: int) -> ImageFile:
     )
 
 
-def _turned_back(image: np.ndarray, orientation: int) -> np.ndarray:
+def normals_as_stored(normals: np.ndarray, orientation: int) -> np.ndarray:
+    """Normals `[H, W, 3]` of a photograph as shown, as those of the picture stored."""
+    stored = turned_back(normals, orientation)
+    x, y = stored[..., 0], -stored[..., 1]
+    y = -y if orientation in (3, 4, 7, 8) else y
+    x = -x if orientation in (2, 3, 6, 7) else x
+    x, y = (y, x) if orientation >= 5 else (x, y)
+    return np.stack([x, -y, stored[..., 2]], axis=-1)
+
+
+def turned_back(image: np.ndarray, orientation: int) -> np.ndarray:
+    """An image as viewers show it, as it is stored; orientation: 1 to 8."""
     image = image[::-1] if orientation in (3, 4, 7, 8) else image
     image = image[:, ::-1] if orientation in (2, 3, 6, 7) else image
     return image.swapaxes(0, 1) if orientation >= 5 else image
