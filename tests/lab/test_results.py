@@ -158,6 +158,15 @@ def test_a_page_with_notes_is_kept(tmp_path, notes):
     assert (target / "view.html").read_text() == "new"
 
 
+def test_without_a_record_nothing_is_ours(tmp_path):
+    """As where another program puts its normals beside photographs of ours."""
+    (tmp_path / "pot").mkdir()
+    (tmp_path / "pot" / "normals.npy").write_text("another program's")
+    with appearing_at_once(tmp_path / "pot", ours=["*.png"]) as place:
+        (place / "photograph.png").write_text("")
+    assert (tmp_path / "pot" / "normals.npy").read_text() == "another program's"
+
+
 def test_results_are_known_by_their_own_record(tmp_path):
     for name in ("mesh.ply", "depth.exr"):
         with appearing_at_once(tmp_path / "cup", record="surface.json") as place:

@@ -17,7 +17,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import as_linear, srgb_encode
 from unips_jax.io.images import read_image, write_image
 from unips_jax.io.photographs import read_capture
-from unips_jax.io.selection import select
+from unips_jax.io.selection import drawn, select
 
 SALIENCY = 0.1880  # of the original's 32 bits: 0.18796
 
@@ -347,7 +347,7 @@ REAL = {  # what finds the mask; the overlap
 
 @pytest.mark.parametrize("name", REAL)
 def test_real_photographs(shared_dir, name):
-    capture = read_capture(select(shared_dir / name, max_images=12))
+    capture = read_capture(drawn(select(shared_dir / name), 12))
     found = suggest_mask(capture.images, transfer=capture.transfer)
     rule, least = REAL[name]
     assert found.rule == rule and overlap(found.mask, capture.mask) > least

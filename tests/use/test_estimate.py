@@ -13,7 +13,7 @@ from estimate_runs import EXAMPLES, HEIGHT, WIDTH, photograph, pot, replace, run
 
 from unips_jax import weights
 from unips_jax.estimation import folders
-from unips_jax.io.selection import select
+from unips_jax.io.selection import drawn, select
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.network import UniversalNetwork
 
@@ -101,7 +101,7 @@ def test_a_negative_seed_is_refused(folder, tmp_path, capsys):
 
 def test_drawn_images_are_printed(folder, tmp_path, calls, capsys):
     assert run(folder, "-o", tmp_path, "--max-images", 4, "--seed", 5) == 0
-    names = select(folder, max_images=4, seed=5).names
+    names = drawn(select(folder), 4, seed=5).names
     assert ", ".join(names) in capsys.readouterr().out
     assert calls[0]["images"].shape[0] == 4
 

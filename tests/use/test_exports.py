@@ -14,6 +14,8 @@ from picture_files import png, save
 from plain_objects import hemisphere, rippled_dome
 
 from unips_jax.cli.surface import main as surface
+from unips_jax.io.normals import write_normals
+from unips_jax.io.results import write_record
 from unips_jax.surface.exports import Scale, blender_model, printable
 
 trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")
@@ -107,6 +109,22 @@ def test_the_command_writes_all_three(tmp_path):
     assert record["exports"]["print"]["longest_side"] == pytest.approx(100)
     assert "surface.json" in record["exports"]["archive"]
     assert sorted([*record["files"], "surface.json"]) == sorted(os.listdir(out))
+
+
+@pytest.mark.parametrize(
+    ("normal_map", "said"),
+    [("opengl", "y up (OpenGL)"), ("directx", "y down (DirectX)")],
+)
+def test_an_archive_states_the_normals_convention(tmp_path, normal_map, said):
+    folder = tmp_path / "cat"
+    folder.mkdir()
+    write_normals(folder, hemisphere(24)[0], normal_map=normal_map)
+    record = {"folder": "", "images": {}, "options": {"normal_map": normal_map}}
+    write_record(folder, record)
+    out = tmp_path / "out"
+    assert surface([str(folder), "-o", str(out), "--export", "archive"]) == 0
+    with zipfile.ZipFile(out / "cat.zip") as packed:
+        assert said in packed.read("cat/cat-README.txt").decode()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from unips_jax.errors import InputError
-from unips_jax.io.selection import is_map, select
+from unips_jax.io.selection import drawn, is_map, select
 
 
 @pytest.mark.parametrize(
@@ -139,12 +139,12 @@ def test_given_mask_is_no_photograph(tmp_path):
 
 def test_drawn_images_depend_on_the_seed_only(tmp_path):
     touch(tmp_path, *(f"{i:02}.png" for i in range(20)))
-    first, again, other = (select(tmp_path, max_images=5, seed=s) for s in (3, 3, 4))
+    first, again, other = (drawn(select(tmp_path), 5, seed=s) for s in (3, 3, 4))
     assert first == again
     assert len(first.names) == 5 and list(first.names) == sorted(first.names)
     assert first.names != other.names
     assert len(first.left_out["not among the 5 drawn with seed 3"]) == 15
-    assert select(tmp_path, max_images=20).left_out == {}
+    assert drawn(select(tmp_path), 20).left_out == {}
 
 
 def test_masks_named_after_the_object(tmp_path):

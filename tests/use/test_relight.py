@@ -282,6 +282,8 @@ def test_command_takes_the_lights_of_photographs(result, tmp_path):
         (["--roughness", "2"], "--roughness: expected 0.03 to 1.0, got 2.0"),
         (["--environment", "absent.hdr"], "absent.hdr: "),
         (["--base-color", "small.png"], "expected the normals' size, 24 x 24"),
+        (["--yaw", "90"], "--yaw: expected something to use it for, got none"),
+        (["--fps", "12"], "--fps: expected something to use it for, got none; add --t"),
         (["--lights-from", "empty.lp"], "empty.lp: expected lights, one a line"),
         (["--lights-from", "zero.lp"], "zero.lp: expected lights, one a line"),
     ],

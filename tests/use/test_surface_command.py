@@ -84,6 +84,8 @@ def test_depth_is_a_prior_of_the_next(files):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        (["--max-faces", "9"], "--max-faces: expected something to use it for, got"),
+        (["--directx"], "--directx: expected something to use it for, got none"),
         (["--focal", "far"], "--focal: expected pixels above 0, or exif, got far"),
         (["--focal", "exif"], "--focal exif: expected a photograph, got none"),
         (["--scale", "0"], "--scale: expected above 0, got 0.0"),

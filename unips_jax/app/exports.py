@@ -59,7 +59,7 @@ def export(
     """
     from unips_jax.io.normal_maps import read_normal_map
     from unips_jax.io.record_schema import load_record
-    from unips_jax.io.results import RECORD, results_of
+    from unips_jax.io.results import RECORD, normal_map_of, results_of
     from unips_jax.surface.archive import archive
     from unips_jax.surface.depth_files import read_depth
     from unips_jax.surface.exports import Scale, blender_model, printable
@@ -73,7 +73,8 @@ def export(
         raise InputError(f"{results}: expected results, found none there any more")
     if wanted.purpose == "archive":
         made = [f for f in place.glob(f"{name}.*") if f.suffix in (".glb", ".stl")]
-        data = archive(name, [*results_of(results), *sorted(made)])
+        files = [*results_of(results), *sorted(made)]
+        data = archive(name, files, normal_map_of(results))
     else:
         record = load_record(results / RECORD)
         surface = record.get("surface")

@@ -30,8 +30,9 @@ from unips_jax.estimation.folders import (
     random_network,
 )
 from unips_jax.estimation.options import FolderOptions
+from unips_jax.estimation.reading import chosen_photographs
 from unips_jax.io.results import check_target, clear_leftovers
-from unips_jax.io.selection import folder_name, select
+from unips_jax.io.selection import folder_name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -180,7 +181,12 @@ def _views(folder: Path, target: Path, how: FolderOptions, pause: float) -> list
     """A folder's views, by the times of its photographs."""
     if not pause >= 0:
         raise InputError(f"--pause: expected seconds, 0 or more, got {pause}")
-    selection = select(folder, include=how.include, exclude=how.exclude)
+    if folder.is_file():
+        raise InputError(
+            f"--pause: expected a folder of photographs with times, got {folder}; "
+            "leave --pause out"
+        )
+    selection = chosen_photographs(folder, dataclasses.replace(how, max_images=None))
     mask = how.mask if isinstance(how.mask, Path) else selection.mask_file
     if mask is not None and how.mask != "none":
         raise InputError(

@@ -154,6 +154,15 @@ def _check(options: Options) -> None:
             "--turn: expected a light that can go around, got --lights-from; leave one "
             "out"
         )
+    for name, default, used, needs in (
+        ("yaw", Options.yaw, options.environment, "--environment"),
+        ("frames", Options.frames, options.turn, "--turn"),
+        ("fps", Options.fps, options.turn, "--turn"),
+    ):
+        if getattr(options, name) != default and used is None:
+            raise InputError(
+                f"--{name}: expected something to use it for, got none; add {needs}"
+            )
     if options.light is not None:
         length = math.hypot(*options.light)
         if not (math.isfinite(length) and length > 0):

@@ -29,7 +29,12 @@ from unips_jax.io.masks import read_mask
 from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap, read_numbers
 from unips_jax.io.record import print_line
-from unips_jax.io.results import appearing_at_once, check_target, results_of
+from unips_jax.io.results import (
+    appearing_at_once,
+    check_target,
+    normal_map_of,
+    results_of,
+)
 from unips_jax.surface.archive import archive
 from unips_jax.surface.depth_files import read_depth
 from unips_jax.surface.exports import Scale, blender_model, printable
@@ -199,7 +204,8 @@ def _write_archive(options: Options, place: Path) -> list[str]:
     name = _name(options.normals)
     files = {file.name: file for file in results_of(options.normals)}
     files |= {file.name: file for file in place.iterdir()}
-    packed = archive(name, [files[key] for key in sorted(files)])
+    written = [files[key] for key in sorted(files)]
+    packed = archive(name, written, normal_map_of(options.normals))
     write_whole(place / f"{name}.zip", packed, sync=False)
     return sorted(files)
 
@@ -222,6 +228,16 @@ def _check(options: Options) -> None:
         if not (np.isfinite(value) and value >= 0):
             option = name.replace("_", "-")
             raise InputError(f"--{option}: expected 0 or more, got {value}")
+    model = "blender" in options.export
+    for option, used, needs in (
+        ("max_faces", options.mesh or model, "--mesh or --export blender"),
+        ("directx", model, "--export blender"),
+    ):
+        if getattr(options, option) and not used:
+            raise InputError(
+                f"--{option.replace('_', '-')}: expected something to use it for, got "
+                f"none; add {needs}"
+            )
     if options.mesh is not None:
         check_mesh_file(Path(f"mesh.{options.mesh}"))
     check_target(options.output, options.normals, record=RECORD)

@@ -20,6 +20,7 @@ from unips_jax.estimation.extras import estimate_extras
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.reading import chosen_photographs, dark_file, read_and_look
 from unips_jax.estimation.writing import Estimate, write_estimate
+from unips_jax.io.door import write_json
 from unips_jax.io.record import (
     HashingReader,
     complete_record,
@@ -28,7 +29,14 @@ from unips_jax.io.record import (
     print_selection,
     same_inputs,
 )
-from unips_jax.io.results import check_target, clear_leftovers, file_hash, read_record
+from unips_jax.io.results import (
+    RECORD,
+    check_target,
+    clear_leftovers,
+    file_hash,
+    mended_mask,
+    read_record,
+)
 from unips_jax.io.selection import Selection
 from unips_jax.models.config import ModelConfig
 from unips_jax.provenance import code_hash
@@ -121,11 +129,14 @@ def estimate_folder(
             selection = dataclasses.replace(selection, source=folder)
         if earlier is not None:
             reader = HashingReader(options.max_pixels)
-            if same_inputs(earlier, _input_record(selection, network, options, reader)):
+            now = _input_record(selection, network, options, reader)
+            if same_inputs(earlier, now):
                 if verbose:
                     title = selection.title
                     print(f"{title}: {target} is up to date; --overwrite makes it anew")
-                return earlier
+                return _moved(earlier, now, target)
+        if options.looks_for_mask and selection.mask_file is None:
+            _require_no_mended_mask(target)
         estimate = estimate_selection(
             selection,
             network,
@@ -135,6 +146,25 @@ def estimate_folder(
             on_preview=on_preview,
         )
         return write_estimate(target, estimate, options, verbose=verbose)
+
+
+def _moved(record: dict[str, Any], now: dict[str, Any], target: Path) -> dict[str, Any]:
+    """The record of results that hold, with their photographs' place of now."""
+    places = {name: now[name] for name in ("folder", "mask")}
+    if places.items() <= record.items():
+        return record
+    record = {**record, **places}
+    write_json(target / RECORD, record, indent=2)
+    return record
+
+
+def _require_no_mended_mask(target: Path) -> None:
+    mended = mended_mask(target)
+    if mended is not None:
+        raise InputError(
+            f"{mended}: was changed since it was written, and a mask that is looked "
+            f"for would replace it; use it by --mask {mended}, or remove it"
+        )
 
 
 @contextlib.contextmanager
@@ -283,7 +313,8 @@ def _input_record(
         chosen["known_lights"] = {name: x.tolist() for name, x in named if x.any()}
     chosen |= {name: list(chosen[name]) for name in ("include", "exclude")}  # as JSON
     normals = selection.folder / "normal.tif"
-    if options.reader == "official" and not selection.mask_file and normals.is_file():
+    own = options.mask != "none" and selection.mask_file is None
+    if options.reader == "official" and own and normals.is_file():
         selection = dataclasses.replace(selection, mask_file=normals)
     code = code_hash(*_CODE)
     return input_record(selection, network.record, chosen, code, reader)

@@ -102,6 +102,11 @@ class FolderOptions:
         """What the encoder's square surrounds."""
         return "image" if self.reader == "official" else "mask"
 
+    @property
+    def looks_for_mask(self) -> bool:
+        """Whether the object is looked for where there is no mask."""
+        return self.mask == "auto" and self.reader == "plain"
+
     def spelled_out(self) -> "FolderOptions":
         """The same options with what `all` stands for."""
         if not self.all:
@@ -148,11 +153,12 @@ class FolderOptions:
                     f"--{option.replace('_', '-')}: expected something to use it for, "
                     "got none; add --base-color, --rti or --lights"
                 )
-        for option in ("register", "dark"):
+        for option in ("register", "dark", "lamp_distance"):
             if self.reader == "official" and getattr(self, option):
                 raise InputError(
-                    f"--{option}: the authors' reader takes photographs as they are; "
-                    "leave out --reader official"
+                    f"--{option.replace('_', '-')}: the authors' reader takes "
+                    "photographs as they are, and resizes them; leave out --reader "
+                    "official"
                 )
         self._check_surface()
 
@@ -161,7 +167,7 @@ class FolderOptions:
             check_mesh_file(Path(f"mesh.{self.mesh}"))
         if self.focal is None:
             return
-        if not (self.depth or self.mesh):
+        if not (self.all or self.depth or self.mesh):
             raise InputError(
                 "--focal: expected a depth to use it for, got none; add --depth"
             )

@@ -18,7 +18,7 @@ from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.official_photographs import read_official
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.record import HashingReader
-from unips_jax.io.selection import Selection, select
+from unips_jax.io.selection import Selection, drawn, select
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,8 +37,6 @@ def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
         mask_file=options.mask if isinstance(options.mask, Path) else None,
         include=options.include,
         exclude=options.exclude,
-        max_images=options.max_images,
-        seed=options.seed,
     )
     left_out = dict(selection.left_out)
     if options.dark is not None:
@@ -51,6 +49,8 @@ def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
     if options.mask == "none" and selection.mask_file is not None:
         left_out["by --mask none"] = [selection.mask_file.name]
         selection = dataclasses.replace(selection, mask_file=None, left_out=left_out)
+    if options.max_images is not None:
+        return drawn(selection, options.max_images, options.seed)
     return selection
 
 
@@ -85,8 +85,7 @@ def read_and_look(
         moves = zip(selection.names, offsets, strict=True)
         facts["moved_back"] = {name: move for name, move in moves if any(move)}
         motion = still(motion)
-    looked_for = options.mask == "auto" and options.reader == "plain"
-    if looked_for and selection.mask_file is None:
+    if options.looks_for_mask and selection.mask_file is None:
         capture = with_suggested_mask(capture)
     findings = check_capture(capture, selection.names, motion=motion)
     facts["findings"] = [finding.record() for finding in findings]
@@ -106,7 +105,8 @@ def _read(
 ) -> Capture:
     if options.reader == "official":
         size = options.size or 512
-        images, mask, _ = read_official(selection, size=size, read=reader)
+        whole = options.mask == "none"
+        images, mask, _ = read_official(selection, size=size, read=reader, whole=whole)
         return Capture(images, mask, "linear", "the authors' reader")
     tracked: Any = functools.partial(track, description="reading photographs")
     return read_capture(

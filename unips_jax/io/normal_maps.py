@@ -93,6 +93,8 @@ def is_normal_map(path: Path) -> bool:
 
     try:
         with tifffile.TiffFile(path) as tiff:
+            if int((tiff.imagej_metadata or {}).get("images", 1)) > 1:
+                return False  # a stack may be one page
             tiff.pages.get(1)
     except Exception:  # no second page, or damaged: reading finds out
         return True

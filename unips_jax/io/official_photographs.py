@@ -26,15 +26,16 @@ def read_official(
     selection: Selection,
     *,
     size: int = 512,
+    whole: bool = False,
     read: Callable[[Path], ImageFile] = read_image_file,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Reads photographs as the authors' reader does.
 
     With a `normal.tif` among the photographs, the mask of a folder without its own is
-    where these normals have unit length. A training folder (photographs `0*` and
-    `normal.tif`) is not cropped. Returns images `[N, size, size, 3]` (float32, linear
-    RGB, mean 1 inside the mask, where no image may be black, and 0 outside), the mask,
-    and the normals, as stored, or None.
+    where these normals have unit length, unless the `whole` image is asked for. A
+    training folder (photographs `0*` and `normal.tif`) is not cropped. Returns images
+    `[N, size, size, 3]` (float32, linear RGB, mean 1 inside the mask, where no image
+    may be black, and 0 outside), the mask, and the normals, as stored, or None.
     """
     first = read(selection.files[0])
     shape = first.pixels.shape[:2]
@@ -42,7 +43,7 @@ def read_official(
     normals = None
     if normal_file.is_file():
         normals = 2 * _sized(read(normal_file), shape) - 1
-    if selection.mask_file is None and normals is not None:
+    if selection.mask_file is None and normals is not None and not whole:
         mask = np.abs(1 - np.linalg.norm(normals, axis=-1)) < 1e-3
     else:
         mask = mask_for(selection, shape, read=read)

@@ -3,6 +3,7 @@
 import datetime
 import hashlib
 import importlib.metadata
+import os
 import platform
 import sys
 import textwrap
@@ -54,10 +55,10 @@ def input_record(
         "unips_jax": __version__,
         "code": code,
         "weights": weights,
-        "folder": selection.title,
+        "folder": os.path.abspath(selection.title),  # noqa: PTH100: links stay
         "images": {file.name: reader.hash(file) for file in selection.files},
         "left_out": selection.left_out,
-        "mask": None if mask is None else str(mask),
+        "mask": None if mask is None else os.path.abspath(mask),  # noqa: PTH100
         "mask_hash": None if mask is None else reader.hash(mask),
         "options": options,
     }

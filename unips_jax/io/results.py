@@ -83,6 +83,14 @@ def results_of(folder: Path) -> list[Path]:
     return [folder / name for name in [*names, RECORD]]
 
 
+def normal_map_of(folder: Path) -> str:
+    """The convention of a folder's pictures of normals."""
+    if not (folder / RECORD).is_file():
+        return "opengl"
+    options = load_record(folder / RECORD).get("options", {})
+    return options.get("normal_map", "opengl")
+
+
 def check_target(target: Path, source: Path, *, record: str = RECORD) -> None:
     """Refuses what cannot become a folder of results, before there are any.
 
@@ -211,7 +219,8 @@ def _carry_over(place: Path, new: Path, record: str, patterns: Sequence[str]) ->
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         listed = json.loads((place / record).read_bytes())["files"]
         earlier = dict(listed) if isinstance(listed, dict) else dict.fromkeys(listed)
-    ours = {*_RESULTS, record, *earlier} - _by_hand(place, earlier)
+    known = _RESULTS if (place / record).is_file() else ()
+    ours = {*known, record, *earlier} - _by_hand(place, new, earlier)
     ours |= {file.name for file in new.iterdir()}
 
     def left(folder: str, names: list[str]) -> set[str]:
@@ -230,9 +239,23 @@ def _carry_over(place: Path, new: Path, record: str, patterns: Sequence[str]) ->
     )
 
 
-def _by_hand(place: Path, hashes: dict[str, Any]) -> set[str]:
-    """Of the files that are ours those that a reader changed: there may be no copy."""
+def mended_mask(target: Path) -> Path | None:
+    """A folder's `mask.png`, if it is not what was written with the results."""
+    mask, listed = target / _MASK, {}
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        listed = dict(json.loads((target / RECORD).read_bytes())["files"])
+    if mask.is_file() and listed.get(_MASK) != file_hash(mask):
+        return mask
+    return None
+
+
+def _by_hand(place: Path, new: Path, hashes: dict[str, Any]) -> set[str]:
+    """Of our files those that a reader changed or gave: there may be no copy."""
     mask, view, found = place / _MASK, place / _VIEW, set()
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        given = json.loads((new / RECORD).read_bytes())["mask"]
+        if given is not None and Path(given).resolve() == mask.resolve():
+            found.add(_MASK)
     with contextlib.suppress(OSError, InputError):
         if mask.is_file() and hashes.get(_MASK) not in (None, file_hash(mask)):
             found.add(_MASK)

@@ -93,14 +93,11 @@ def select(
     mask_file: Path | None = None,
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
-    max_images: int | None = None,
-    seed: int = 0,
 ) -> Selection:
     """Finds the photographs and the mask of a folder, without reading them.
 
     Images that match `include`, such as `img_*.png`, are the photographs, whatever they
-    are called; `exclude` leaves out the folder's own mask too. Of more than
-    `max_images` this many are drawn; the same seed and files give the same choice.
+    are called; `exclude` leaves out the folder's own mask too.
     """
     if not folder.is_dir():
         what = "a file" if folder.exists() else "nothing of this name"
@@ -121,12 +118,22 @@ def select(
     files = each_once(files, left_out)
     if not files:
         raise InputError(_nothing_found(folder, entries, left_out))
-    if max_images is not None and max_images < len(files):
-        drawn = np.random.default_rng(seed).choice(len(files), max_images, False)
-        reason = f"not among the {max_images} drawn with seed {seed}"
-        left_out[reason] = [f.name for i, f in enumerate(files) if i not in drawn]
-        files = [files[i] for i in sorted(drawn)]
     return Selection(folder, tuple(files), left_out, mask_file)
+
+
+def drawn(selection: Selection, count: int, seed: int = 0) -> Selection:
+    """At most `count` of the photographs; the same seed and files, the same choice."""
+    files = selection.files
+    if count >= len(files):
+        return selection
+    chosen = np.random.default_rng(seed).choice(len(files), count, False)
+    reason = f"not among the {count} drawn with seed {seed}"
+    others = [f.name for i, f in enumerate(files) if i not in chosen]
+    return dataclasses.replace(
+        selection,
+        files=tuple(files[i] for i in sorted(chosen)),
+        left_out={**selection.left_out, reason: others},
+    )
 
 
 def folder_name(folder: Path) -> str:

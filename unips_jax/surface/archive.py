@@ -7,9 +7,9 @@ from pathlib import Path
 _WHAT = {
     ".glb": "the surface with a material, for Blender and games, in metres",
     ".stl": "the surface as a solid on a base, to print, in millimetres",
-    "normals.png": "normal map, 16 bits: x right, y up (OpenGL), z to the viewer",
+    "normals.png": "normal map, 16 bits: {}",
     "normals.npy": "the normals as an array [H, W, 3], float32, 0: no surface",
-    "normals.exr": "the normals as an image of floats",
+    "normals.exr": "the normals as an image of floats: {}",
     "normals.mat": "the normals for MATLAB, key Normal_est",
     "normals.json": "how the normals came about: photographs, weights, options",
     "sheet.png": "photographs and normals on one sheet",
@@ -34,8 +34,19 @@ _WHAT = {
 }
 
 
-def archive(name: str, files: list[Path]) -> bytes:
-    """A ZIP of files with the object's name in theirs, and a text on each."""
+_AXES = {
+    "opengl": "x right, y up (OpenGL), z to the viewer",
+    "directx": "x right, y down (DirectX), z to the viewer",
+    "opencv": "x right, y down, z away from the viewer (OpenCV)",
+    "x-left": "x left, y up, z to the viewer",
+}
+
+
+def archive(name: str, files: list[Path], normal_map: str = "opengl") -> bytes:
+    """A ZIP of files with the object's name in theirs, and a text on each.
+
+    `normal_map`: the convention of the normals' pictures.
+    """
     lines = [f"{name}: normals by unips_jax, and what follows from them.", ""]
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as packed:
@@ -45,6 +56,6 @@ def archive(name: str, files: list[Path]) -> bytes:
             packed.write(file, f"{name}/{title}")
             what = _WHAT.get(file.suffix if own else file.name)
             if what is not None:
-                lines.append(f"{title}: {what}")
+                lines.append(f"{title}: {what.format(_AXES[normal_map])}")
         packed.writestr(f"{name}/{name}-README.txt", "\n".join(lines) + "\n")
     return data.getvalue()
