@@ -1,5 +1,6 @@
 """A running application and its page in a browser; waits are for what is seen."""
 
+import contextlib
 import io
 import os
 import select
@@ -14,8 +15,10 @@ from browser import messages
 from PIL import Image
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
+from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax.io.images import read_image, write_image
+from unips_jax.weights import save_weights
 
 SAMPLE = Path(__file__).parents[1] / "unips_jax/assets/sample/obj000.data"
 SCREENSHOTS = os.environ.get("UNIPS_SCREENSHOTS")
@@ -163,3 +166,20 @@ def dark_share(driver):
         return dark / (width * height);""",
         canvas,
     )
+
+
+@contextlib.contextmanager
+def running(results, *options):
+    there = Server(results, *options)
+    yield there
+    there.end()
+    assert list(results.glob(".unips-*")) == []  # nothing half made is left
+
+
+@contextlib.contextmanager
+def running_stand_in(place):
+    """With a network that compiles in seconds; its normals mean nothing."""
+    save_weights(place / "small.safetensors", lively_network(SHALLOW_OURS))
+    options = "--weights", str(place / "small.safetensors")
+    with running(place / "results", *options) as there:
+        yield there

@@ -40,6 +40,7 @@ _FIRST = (
     "test_train_resume.py",
     "test_browser_page.py",
     "test_app_browser.py",
+    "test_app_browser_bad_days.py",
     "test_estimation.py",
     "test_models.py",
     "test_examples.py",
@@ -99,6 +100,15 @@ def calls(network_calls, monkeypatch):
 
     monkeypatch.setattr(writing, "write_sheet", lambda *args, **options: None)
     return network_calls
+
+
+@pytest.fixture(scope="module")
+def stand_in(tmp_path_factory):
+    """A running application whose network compiles in seconds."""
+    import app_page
+
+    with app_page.running_stand_in(tmp_path_factory.mktemp("stand-in")) as there:
+        yield there
 
 
 @pytest.fixture

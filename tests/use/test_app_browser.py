@@ -4,11 +4,8 @@
 of `docs/app.md`, from the sample that ships.
 """
 
-import contextlib
 import io
 import json
-import signal
-import time
 import urllib.error
 import urllib.request
 import zipfile
@@ -25,17 +22,14 @@ import trimesh
 from app_page import (
     SCREENSHOTS,
     SIDE,
-    Server,
     can_estimate,
     complaints,
     dark_share,
     drawn,
-    fits,
-    object_share,
     open_page,
     press,
     press_visible,
-    reload_at_once,
+    running,
     screenshot,
     shown,
     text,
@@ -46,38 +40,15 @@ from app_page import (
 from browser import ABSENT, browser, pixels
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
-from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.support.ui import Select
-from small_networks import SHALLOW_OURS, lively_network
-
-from unips_jax.weights import save_weights
 
 pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent")
 STATUS = "export-status"
-
-
-@contextlib.contextmanager
-def running(results, *options):
-    there = Server(results, *options)
-    yield there
-    there.end()
-    assert list(results.glob(".unips-*")) == []  # nothing half made is left
 
 
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory):
     """With the weights that ship."""
     with running(tmp_path_factory.mktemp("results")) as there:
-        yield there
-
-
-@pytest.fixture(scope="module")
-def stand_in(tmp_path_factory):
-    """With a network that compiles in seconds; its normals mean nothing."""
-    place = tmp_path_factory.mktemp("stand-in")
-    save_weights(place / "small.safetensors", lively_network(SHALLOW_OURS))
-    options = "--weights", str(place / "small.safetensors")
-    with running(place / "results", *options) as there:
         yield there
 
 
@@ -232,117 +203,6 @@ def test_pictures(shipped, tmp_path):
         screenshot(driver, "app-result.jpg")
 
 
-def test_a_reload_costs_nothing_and_results_are_run_again(stand_in, tmp_path):
-    """On a phone, in German."""
-    with browser(500, 850) as driver:
-        metrics = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-        open_page(driver, stand_in.address)
-        Select(driver.find_element(By.ID, "language")).select_by_value("de")
-        assert "So wird fotografiert" in text(driver, "home") and fits(driver)
-        press(driver, "example")
-        until(driver, lambda: can_estimate(driver))
-        assert "8 Fotos mit 192 x 192 Pixeln" in text(driver) and fits(driver)
-        press(driver, "mask-all")
-        press_visible(driver, "#thumbnails .x")
-        until(driver, lambda: "von dir weggelassen" in text(driver, "aside"))
-        until(driver, lambda: can_estimate(driver))
-        address = driver.current_url
-        driver.refresh()
-        until(driver, lambda: can_estimate(driver))
-        assert "7 Fotos" in text(driver) and object_share(driver) == 1 and fits(driver)
-        upload(driver, written(tmp_path, 192, (1,)))
-        until(driver, lambda: "8 Fotos" in text(driver) and can_estimate(driver))
-        assert object_share(driver) == 1  # the mask is kept
-        press(driver, "estimate")
-        until(driver, lambda: shown(driver, "running") or shown(driver, "done"))
-        assert fits(driver)
-        driver.get("about:blank")
-        driver.get(address)
-        until(driver, lambda: shown(driver, "done"))
-        assert fits(driver) and "Ändern und neu berechnen" in text(driver)
-        press_visible(driver, "#done-buttons [data-do=again]")
-        until(driver, lambda: can_estimate(driver))
-        assert driver.current_url != address and object_share(driver) == 1
-        assert "8 Fotos" in text(driver)
-        press_visible(driver, "#object p a")
-        until(
-            driver, lambda: len(driver.find_elements(By.CSS_SELECTOR, "#list li")) == 2
-        )
-        assert "fertig" in text(driver, "list") and fits(driver)
-        assert complaints(driver) == []
-
-
-STROKE = """
-const canvas = document.getElementById("mask-canvas");
-const box = canvas.getBoundingClientRect();
-canvas.setPointerCapture = () => {};
-for (const [kind, x] of [["down", 0.1], ["move", 0.9], ["up", 0.9]])
-  canvas.dispatchEvent(new PointerEvent(`pointer${kind}`, {
-    pointerId: 1, bubbles: true,
-    clientX: box.left + x * box.width, clientY: box.top + 0.5 * box.height }))
-"""
-
-
-DROP = """
-const file = new File(["no photograph"], "notes.txt");
-const pages = [[{ isFile: true, file: (done) => done(file) }], []];
-const reader = { readEntries: (done) => done(pages.shift()) };
-const entry = { isDirectory: true, name: "vase", createReader: () => reader };
-const dropped = new Event("drop", { bubbles: true, cancelable: true });
-dropped.dataTransfer = { items: [{ webkitGetAsEntry: () => entry }] };
-document.getElementById(arguments[0]).dispatchEvent(dropped)
-"""
-
-
-def test_a_dropped_folder_gives_the_object_its_name(stand_in):
-    """Also after a draft was looked at and left, and into a draft."""
-
-    def name():
-        return driver.find_element(By.ID, "name").get_property("value")
-
-    with browser(1200, 1100) as driver:
-        for _ in range(2):
-            open_page(driver, stand_in.address)
-            driver.execute_script("location.hash = ''")
-            until(driver, lambda: shown(driver, "first-drop"))
-            driver.execute_script(DROP, "first-drop")
-            until(driver, lambda: name() == "vase" and "notes" in text(driver, "aside"))
-            driver.execute_script("location.hash = ''")
-            until(driver, lambda: shown(driver, "first-drop"))
-            press(driver, "example")
-            until(driver, lambda: name() == "example")
-        driver.execute_script(
-            "const name = document.getElementById('name'); name.value = 'object';"
-            "name.dispatchEvent(new Event('change'))"
-        )
-        driver.execute_script(DROP, "more-drop")
-        until(driver, lambda: name() == "vase" and "notes" in text(driver, "aside"))
-        assert complaints(driver, "notes.txt") == [] and not shown(driver, "message")
-
-
-def test_what_was_drawn_just_before_a_reload_is_kept(stand_in, photographs):
-    with browser(1200, 1100) as driver:
-        open_page(driver, stand_in.address)
-        upload(driver, photographs)
-        until(driver, lambda: can_estimate(driver))
-        reload_at_once(driver, "document.getElementById('mask-clear').click()")
-        until(driver, lambda: "Show where the object" in text(driver, "missing"))
-        assert object_share(driver) == 0
-        press_visible(driver, "[data-mask-tool=add]")
-        reload_at_once(driver, STROKE)
-        until(driver, lambda: can_estimate(driver))
-        assert 0.02 < object_share(driver) < 0.2  # a band across the picture
-        before = object_share(driver)
-        canvas = driver.find_element(By.ID, "mask-canvas")
-        canvas.send_keys(Keys.DOWN * 5)
-        canvas.send_keys(Keys.SHIFT, Keys.RIGHT)
-        assert object_share(driver) > before
-        canvas.send_keys("z")
-        assert object_share(driver) == before
-        assert complaints(driver) == []
-
-
 @pytest.mark.slow
 def test_an_estimate_is_cancelled_and_changed(shipped, photographs):
     with browser(1200, 1100) as driver:
@@ -357,60 +217,6 @@ def test_an_estimate_is_cancelled_and_changed(shipped, photographs):
         press_visible(driver, "#ended [data-do=again]")
         until(driver, lambda: can_estimate(driver))
         assert "4 photographs" in text(driver)
-
-
-@pytest.mark.slow
-def test_a_minute_of_sleep_during_an_estimate(stand_in, tmp_path):
-    with browser(1200, 1100) as driver:
-        open_page(driver, stand_in.address)
-        upload(driver, written(tmp_path, 320, range(8)))
-        until(driver, lambda: can_estimate(driver))
-        press(driver, "estimate")
-        until(driver, lambda: shown(driver, "running"))
-        driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "frozen"})
-        time.sleep(60)
-        driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "active"})
-        until(driver, lambda: shown(driver, "done"))
-        until(driver, lambda: driver.find_elements(By.TAG_NAME, "iframe"))
-
-
-@pytest.mark.slow
-def test_a_killed_server_loses_no_work(tmp_path, photographs):
-    first = Server(tmp_path / "results")
-    with browser(1200, 1100) as driver:
-        open_page(driver, first.with_key)
-        upload(driver, photographs)
-        until(driver, lambda: can_estimate(driver))
-        press(driver, "estimate")
-        until(driver, lambda: shown(driver, "running"))
-        first.end(signal.SIGKILL)
-        until(driver, lambda: shown(driver, "connection"))
-        second = Server(tmp_path / "results")
-        try:
-            open_page(driver, second.with_key)
-            press_visible(driver, "#list a")
-            until(driver, lambda: shown(driver, "ended"))
-            assert "ended during this estimate" in text(driver)
-            press_visible(driver, "#ended [data-do=again]")
-            until(driver, lambda: can_estimate(driver))
-        finally:
-            second.end()
-
-
-@pytest.mark.slow
-def test_250_megabytes_in_one_choice(stand_in, tmp_path):
-    import tifffile
-
-    generator = np.random.default_rng(0)
-    for index in range(8):
-        noise = generator.integers(0, 65535, (2200, 2400, 3), np.uint16)
-        tifffile.imwrite(tmp_path / f"{index}.tif", noise, photometric="rgb")
-    assert sum(p.stat().st_size for p in tmp_path.glob("*.tif")) > 250e6
-    with browser(1200, 1100) as driver:
-        open_page(driver, stand_in.address)
-        upload(driver, sorted(tmp_path.glob("*.tif")))
-        until(driver, lambda: "8 photographs of 2400 x 2200 pixels" in text(driver))
-        assert text(driver, "aside") == ""
 
 
 def test_other_sites_cannot_reach_it(stand_in):

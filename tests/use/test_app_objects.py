@@ -62,6 +62,17 @@ def test_objects_are_what_is_on_disk(tmp_path):
         assert found.drawn.read_bytes() == b"mask"
 
 
+def test_a_file_that_never_came_is_forgotten(tmp_path):
+    with opened(tmp_path, days=30) as objects:
+        item = objects.begin()
+        item.photographs.append(Photograph("a.png", "a.png", 1, "used"))
+        item.photographs.append(Photograph("b.png", "b.png", 9, "receiving"))
+        item.save()
+    with opened(tmp_path, days=30) as objects:
+        (found,) = objects.all()
+        assert [photo.file for photo in found.photographs] == ["a.png"]
+
+
 def test_targets_are_new_folders(tmp_path):
     with opened(tmp_path, days=30) as objects:
         first = objects.target_for("my cat/..")

@@ -268,7 +268,11 @@ def _read(folder: Path) -> Object | None:
     """An object that was saved; None where none was, or it is damaged."""
     try:
         record = json.loads((folder / _FILE).read_bytes())
-        photographs = [Photograph(**entry) for entry in record.pop("photographs")]
+        photographs = [
+            Photograph(**entry)
+            for entry in record.pop("photographs")
+            if entry.get("state") != "receiving"  # it never came
+        ]
         item = Object(folder=folder, photographs=photographs, **record)
     except (OSError, ValueError, TypeError, KeyError):
         return None

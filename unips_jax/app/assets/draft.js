@@ -74,7 +74,7 @@ async function showMask(object) {
   try {
     await mask.load(object.id, object.version, object, refresh);
   } catch {
-    loaded = ""; // again with the next answer
+    if (loaded === which) loaded = ""; // again with the next answer
   }
   refresh();
 }

@@ -40,8 +40,8 @@ async function ask() {
   asking = true;
   askAgain = false;
   let pause = 1000;
+  const id = idOf();
   try {
-    const id = idOf();
     if (id) await askObject(id);
     else {
       showList(await request("GET", `/objects?ids=${known().join(",")}`));
@@ -52,8 +52,12 @@ async function ask() {
   } catch (problem) {
     if (problem.lost) byId("connection").hidden = false;
     else if (problem.status === 404) {
-      message(problem.message);
-      location.hash = "";
+      if (id === idOf()) {
+        message(problem.message);
+        history.replaceState(null, "", "#"); // "back" would lead here again
+        showHome();
+      }
+      askAgain = true;
     } else if (problem.status) message(problem.message);
     else console.error(problem);
   }
@@ -84,13 +88,11 @@ function showObject() {
   if (step === "running") result.showRunning(object);
   if (step === "ended") result.showEnded(object);
   if (step === "done") result.showDone(object);
-  else result.leave();
 }
 
 function showHome() {
   object = null;
   draft.leave();
-  result.leave();
   byId("home").hidden = false;
   byId("object").hidden = true;
   document.title = t("title");

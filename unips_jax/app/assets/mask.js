@@ -19,6 +19,7 @@ let inside = 0; // pixels
 let changes = 0; // that the server doesn't have yet
 let flushed = 0; // of these, sent by a page that was about to go
 let saving = null; // the save that runs
+let turn = 0; // changes with each object: answers for an earlier one come too late
 let listeners = { changed: () => {} };
 
 async function image(source) {
@@ -31,7 +32,9 @@ async function image(source) {
 /** Shows the picture; of another size or object, everything begins anew. */
 export async function load(id, version, how, changed) {
   const base = `/objects/${id}`;
+  const mine = turn;
   const shown = await image(`/api${base}/pictures/picture.jpg?${version}`);
+  if (mine !== turn) return;
   const same = address === base && picture?.width === shown.width && picture?.height === shown.height;
   listeners.changed = changed;
   picture = shown;
@@ -41,11 +44,11 @@ export async function load(id, version, how, changed) {
   } else if (how.mask === "auto") {
     const name = how.found.mask === "none" ? null : "mask.png";
     if (same) remember();
-    if (name) await take(`/api${base}/pictures/${name}?${version}`);
-    else clear();
+    if (!name) clear();
+    else if (!(await take(`/api${base}/pictures/${name}?${version}`))) return;
     if (!same) choose(name ? "add" : "box");
   } else if (!same) {
-    await take(`/api${base}/pictures/drawn.png?${version}`);
+    if (!(await take(`/api${base}/pictures/drawn.png?${version}`))) return;
     choose(how.mask === "empty" ? "box" : "add");
   }
   if (!same) {
@@ -73,6 +76,7 @@ function begin(base) {
 
 export function forget() {
   flush();
+  turn += 1;
   changes = 0;
   address = null;
   byId("mask-editor").dataset.ready = "false";
@@ -102,7 +106,9 @@ function clear() {
 
 /** Takes a mask from the server: white is the object. */
 async function take(source) {
+  const mine = turn;
   const loaded = await image(source);
+  if (mine !== turn) return false;
   const c = pixelsOf(mask);
   clear();
   c.drawImage(loaded, 0, 0, mask.width, mask.height);
@@ -113,6 +119,7 @@ async function take(source) {
     pixels.data[at + 3] = object ? 255 : 0;
   }
   c.putImageData(pixels, 0, 0);
+  return true;
 }
 
 function remember() {
@@ -250,7 +257,7 @@ async function find(what, body, words) {
     await request("POST", `${base}/${what}`, body);
     if (base !== address) return;
     remember();
-    await take(`/api${base}/pictures/cut.png?${Date.now()}`);
+    if (!(await take(`/api${base}/pictures/cut.png?${Date.now()}`))) return;
   } catch (problem) {
     tell(problem.message);
     return;
@@ -274,15 +281,19 @@ async function piece(at) {
 }
 
 function place(event) {
-  const box = canvas.getBoundingClientRect();
-  return [((event.clientX - box.left) * canvas.width) / box.width, ((event.clientY - box.top) * canvas.height) / box.height];
+  const box = canvas.getBoundingClientRect(); // the picture lies in its middle: object-fit
+  const scale = Math.min(box.width / canvas.width, box.height / canvas.height);
+  return [
+    (event.clientX - box.left - box.width / 2) / scale + canvas.width / 2,
+    (event.clientY - box.top - box.height / 2) / scale + canvas.height / 2,
+  ];
 }
 
 function listen() {
   if (canvas.dataset.listening) return;
   canvas.dataset.listening = "true";
   canvas.addEventListener("pointerdown", (event) => {
-    if (event.button) return;
+    if (event.button || !event.isPrimary) return; // a second finger draws nothing
     canvas.setPointerCapture(event.pointerId);
     const at = place(event);
     if (tool === "piece") return piece(at);
@@ -295,6 +306,7 @@ function listen() {
     return undefined;
   });
   canvas.addEventListener("pointermove", (event) => {
+    if (!event.isPrimary) return;
     cursor = place(event);
     if (stroke) {
       if (tool !== "box") paint(stroke.to, cursor);
@@ -307,8 +319,8 @@ function listen() {
     cursor = null;
     draw();
   });
-  canvas.addEventListener("pointerup", async () => {
-    if (!stroke) return;
+  canvas.addEventListener("pointerup", async (event) => {
+    if (!stroke || !event.isPrimary) return;
     if (tool === "box") {
       const cutting = cut();
       stroke = null;
@@ -319,7 +331,8 @@ function listen() {
       edited();
     }
   });
-  canvas.addEventListener("pointercancel", () => {
+  canvas.addEventListener("pointercancel", (event) => {
+    if (!event.isPrimary) return;
     if (stroke && tool !== "box") undo();
     stroke = null;
     draw();

@@ -56,7 +56,8 @@ export function showDone(object) {
   viewer.hidden = !there;
   viewer.title = object.name;
   const page = `${base}/results/view.html#${current()}`;
-  if (there && viewer.getAttribute("src") !== page) viewer.src = page;
+  const shown = viewer.getAttribute("src")?.startsWith(`${base}/`); // in whatever language
+  if (there && !shown) renew(page);
   byId("folder").textContent = object.folder ? t("folder", { folder: object.folder }) : "";
   fill(byId("files"), [current(), object.id, files], () => {
     const rest = new Set(files);
@@ -75,6 +76,10 @@ export function showDone(object) {
   advice(byId("done-advice"), object.findings);
 }
 
-export function leave() {
-  byId("viewer").removeAttribute("src");
+/** Another frame, not another page in it: "back" would lead through all of them. */
+function renew(page) {
+  const old = byId("viewer");
+  const frame = old.cloneNode();
+  frame.src = page;
+  old.replaceWith(frame);
 }
