@@ -94,6 +94,21 @@ def test_crop_keeps_zero_normals_zero_and_others_unit():
     assert (length[case.observed.mask] == 0).sum() > 50
 
 
+@pytest.mark.parametrize("radius", [14, 60])  # the crop enlarges, or shrinks
+@pytest.mark.parametrize("background", [np.nan, np.inf])
+def test_what_is_not_finite_counts_on_the_object_alone(radius, background):
+    mask, normals = data.sphere(150, 150, radius=radius)
+    protocol = Protocol("crop", 64)
+    shown = protocols.shown_mask(mask, protocol)
+    true = protocols.shown_normals(normals, mask, protocol)
+    around = np.where(mask[..., None], normals, background)
+    found = protocols.shown_normals(around, mask, protocol)
+    np.testing.assert_array_equal(found, true)
+    around[75, 75] = np.nan
+    counted = score(protocols.shown_normals(around, mask, protocol), true, shown)
+    assert 0 < counted.invalid < 60 and counted.mae > 0.02
+
+
 @pytest.mark.parametrize("protocol", [Protocol("native"), Protocol("crop", 64)])
 def test_images_are_held_once(protocol):
     mask = np.zeros((64, 64), bool)

@@ -143,7 +143,9 @@ class _Crop(NamedTuple):
 
     def of(self, image: np.ndarray) -> np.ndarray:
         """An image `[H, W, C]` in the square: averages over the object's pixels."""
-        part = _resize(_cut(image * self.mask[..., None], self.box), len(self.shown))
+        # Not a product: what is not finite outside the object must not reach it.
+        masked = np.where(self.mask[..., None], image, 0)
+        part = _resize(_cut(masked, self.box), len(self.shown))
         inside = self.shown[..., None]
         return np.where(inside, part / np.where(inside, self.weight[..., None], 1), 0)
 
