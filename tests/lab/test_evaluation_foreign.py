@@ -15,9 +15,9 @@ from scipy.io import savemat
 from unips_jax.baselines.method import Observed
 from unips_jax.cli import evaluate as evaluation
 from unips_jax.errors import InputError
-from unips_jax.evaluation import axes, foreign
+from unips_jax.evaluation import axes, foreign, protocols
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
-from unips_jax.evaluation.normal_files import from_files, read_any
+from unips_jax.evaluation.normal_files import Subset, from_files, read_any
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.images import write_exr
 from unips_jax.io.normals import encode_normals
@@ -75,6 +75,35 @@ def test_normals_are_found_and_read_in_every_format(objects, tmp_path, kind):
     assert summary[0][-1] == "1 of 2"  # the shoe has none, and a remark says so
     remarks = tables_of(tmp_path / "work")["remarks"]["rows"]
     assert ["shoe", "mine", "files: no normals in mine"] in remarks
+
+
+@pytest.mark.parametrize("background", [0, np.nan, 0.3, (0, 0, 1)])
+@pytest.mark.parametrize("center", [(16, 44), (8, 55), (31.5, 31.5)])
+def test_which_size_is_meant_where_both_are_one(tmp_path, center, background):
+    mask, normals = data.sphere(64, 64, center=center, radius=7)
+    protocol = protocols.Protocol("crop", 64)
+    shown = protocols.shown_mask(mask, protocol)
+    cropped = protocols.shown_normals(normals, mask, protocol)
+    kinds = {"whole": (mask, normals), "crop": (shown, cropped)}
+    files = from_files(f"files:{tmp_path}").files
+    for name, (meant, values) in kinds.items():
+        values = np.where(meant[..., None], values, background)
+        np.save(tmp_path / f"{name}.npy", values)
+        run = files.method(
+            name,
+            Subset(None, None, True),
+            mask,
+            lambda x: protocols.shown_normals(x, mask, protocol),
+        )
+        found = run(Observed(np.ones((1, 64, 64, 3)), shown))
+        np.testing.assert_allclose(found[shown], cropped[shown], atol=1e-6)
+        assert files.read(tmp_path / f"{name}.npy", [mask, shown])[1] is meant
+    # Without a background, or with one that fits neither.
+    everywhere = np.random.default_rng(0).normal(size=normals.shape)
+    for values in (everywhere, np.roll(normals, 20, axis=1)):
+        np.save(tmp_path / "unclear.npy", values)
+        with pytest.raises(InputError, match="64 x 64 pixels .* does not show which"):
+            files.read(tmp_path / "unclear.npy", [mask, shown])
 
 
 def test_a_file_may_be_named(objects, tmp_path):
@@ -203,7 +232,7 @@ def test_honest_normals_are_taken_as_they_are(tmp_path):
             data.write_image(tmp_path / f"{np.dtype(dtype)}.png", pixels)
         for name in ("a.npy", "a.mat", "a.exr", "uint8.png", "uint16.png"):
             lines = []
-            found = read(tmp_path / name, [mask], lines)
+            found, _ = read(tmp_path / name, [mask], lines)
             np.testing.assert_array_equal(found, read_any(tmp_path / name))
             assert lines == []
 

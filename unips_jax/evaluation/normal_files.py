@@ -9,9 +9,10 @@ holds a folder for each, named as in `OUT/inputs`: `8-seed-0`, `all`.
 They are `.npy` or `.mat` arrays `[H, W, 3]`, float EXR or TIFF images, all holding n,
 or PNG or TIFF images of integers holding (n + 1) / 2: x right, y up, z towards the
 viewer, unit length. `x=left`, `y=down`, `z=away` and `channels=bgr` state what is
-otherwise. Their size is that of the photographs, or what the protocol showed. What
-their values stand for is examined on the object, and mended where it is certain
-(`io.normal_values`); `values=stored` leaves them as they are.
+otherwise. Their size is that of the photographs, or what the protocol showed; where
+both are one, the background shows which is meant. What their values stand for is
+examined on the object, and mended where it is certain (`io.normal_values`);
+`values=stored` leaves them as they are.
 """
 
 import dataclasses
@@ -93,10 +94,11 @@ class NormalFiles:
 
     def read(
         self, path: Path, masks: list[np.ndarray], mended: list[str] | None = None
-    ) -> np.ndarray:
-        """Unit normals `[H, W, 3]` of a file, in our convention, of the masks' size.
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Unit normals `[H, W, 3]` of a file, in our convention, and their mask.
 
-        `mended` receives a line for each departure from what the format means.
+        It is the one of `masks` that they were made for. `mended` receives a line for
+        each departure from what the format means.
         """
         values = _stored(path)[..., list(self.order)]
         fitting = [mask for mask in masks if mask.shape == values.shape[:2]]
@@ -107,12 +109,13 @@ class NormalFiles:
                 f"{values.shape[1]} x {values.shape[0]}"
             )
         normals = _plain(values, path)
+        mask = _meant(path, normals, fitting)
         if not self.as_stored:
-            normals, lines = _examined(values, normals, fitting[0])
+            normals, lines = _examined(values, normals, mask)
             if mended is not None:
                 mended += lines
-        _check_lengths(path, normals[fitting[0]])
-        return normals * np.array(self.signs, np.float32)
+        _check_lengths(path, normals[mask])
+        return normals * np.array(self.signs, np.float32), mask
 
     def method(
         self,
@@ -130,9 +133,8 @@ class NormalFiles:
             path = self.find(name, subset)
             if path is None:
                 raise Unsupported(f"files: no normals in {self.folder.name}")
-            normals = self.read(path, [mask, observed.mask])
-            shown = normals.shape[:2] == observed.mask.shape
-            return normals if shown else crop(normals)
+            normals, meant = self.read(path, [observed.mask, mask])
+            return normals if meant is observed.mask else crop(normals)
 
         return method
 
@@ -198,6 +200,32 @@ def _plain(values: np.ndarray, path: Path) -> np.ndarray:
     """What values mean by the format: arrays hold n, images of integers (n + 1) / 2."""
     is_array = path.suffix.lower() in (".npy", ".mat")
     return values.astype(np.float32) if is_array else decode_normals(values)
+
+
+def _meant(path: Path, normals: np.ndarray, masks: list[np.ndarray]) -> np.ndarray:
+    """Which mask a file's normals are of, where several have its size."""
+    first, *others = masks
+    if all(np.array_equal(first, other) for other in others):
+        return first
+    # Outside every mask is background: 0, nothing, or whatever stands for it there.
+    there = np.isfinite(normals).all(-1)
+    around = normals[there & ~np.any(masks, axis=0)]
+    if len(around):
+        there &= (normals != np.median(around, axis=0)).any(-1)
+    # How far object and background are where a mask has them: 0 is all of both.
+    misfits = [1 - min(_share(there, m), _share(~there, ~m)) for m in masks]
+    best, second = np.argsort(misfits)[:2]
+    if not 2 * misfits[best] < misfits[second]:
+        raise InputError(
+            f"{path}: {normals.shape[1]} x {normals.shape[0]} pixels are the "
+            "photographs' size and the crop's, and its background does not show which "
+            "is meant; store 0 outside the object, or take another --crop-size"
+        )
+    return masks[best]
+
+
+def _share(found: np.ndarray, where: np.ndarray) -> float:
+    return float((found & where).sum() / max(where.sum(), 1))
 
 
 def _examined(

@@ -125,7 +125,7 @@ def check_normal_files(plan: Plan) -> None:
             masks = [truth.mask, shown_mask(truth.mask, plan.protocol)]
             for path in filter(None, paths):
                 lines: list[str] = []
-                normals = variant.files.read(path, masks, lines)
+                normals, _ = variant.files.read(path, masks, lines)
                 found = True
                 for line in lines:
                     mended.setdefault(line, []).append(path.name)
