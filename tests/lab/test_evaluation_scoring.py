@@ -7,8 +7,9 @@ import evaluation_data as data
 import numpy as np
 import pytest
 
+from unips_jax.baselines.gcnet import pipeline
 from unips_jax.baselines.gcnet.parameters import save_params
-from unips_jax.baselines.method import Observed
+from unips_jax.baselines.method import Lights, Observed
 from unips_jax.errors import InputError
 from unips_jax.estimation import streaming
 from unips_jax.evaluation import protocols
@@ -261,6 +262,23 @@ def test_what_gcnet_lacks_is_told_before_any_work(request_, message, tmp_path):
         request_ = request_.replace(name, str(tmp_path / name))
     with pytest.raises(InputError, match=message):
         load_variants([request_], NO_WEIGHTS)
+
+
+def test_estimated_lights_need_no_scale(tmp_path, monkeypatch):
+    save_params(tmp_path / "w", {"a": {"b": np.zeros(1)}}, "gcnet")
+    request = f"gcnet:weights={tmp_path / 'w'},normals=woodham"
+    variant, _ = load_variants([request], NO_WEIGHTS)
+    mask, normals = data.sphere(20, 20)
+    directions = data.lights(6)
+    images = data.shade(normals, directions).astype(np.float32)
+    estimates = []
+    for scale in (0.1, 1, 10):
+        found = Lights(directions, np.full((6, 3), scale, np.float32))
+        monkeypatch.setattr(pipeline, "estimate_lights", lambda *_, f=found, **__: f)
+        estimates.append(variant.run(Observed(images, mask)).normals)
+    assert score(estimates[0], normals, mask).mae < 6
+    for estimate in estimates[1:]:
+        np.testing.assert_allclose(estimate, estimates[0], atol=1e-4)
 
 
 def test_what_a_row_must_tell_is_in_its_label(tmp_path):
