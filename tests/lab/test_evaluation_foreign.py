@@ -20,7 +20,7 @@ from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.normal_files import Subset, from_files, read_any
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.images import write_exr
-from unips_jax.io.normals import encode_normals
+from unips_jax.io.normals import encode_normals, read_normals
 
 NO_WEIGHTS = UnipsOptions(())
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -342,6 +342,29 @@ def test_a_function_of_ones_own_is_a_method(module):
     assert foreign.sources_hash(module) != before
     with pytest.raises(InputError, match="degrees: expected float, got 'much'"):
         load_variants(["python:my_methods:leaning:degrees=much"], NO_WEIGHTS)
+
+
+def test_what_a_function_returns_is_stored_as_unit_vectors(module, objects, tmp_path):
+    np.save("cup.npy", truth(0))
+    module.write_text(
+        "import numpy as np\n"
+        "def long():\n    return lambda observed: 3 * np.load('cup.npy')\n"
+    )
+    chosen = ["--objects", "cup", "-m", "python:my_methods:long"]
+    assert run(objects, tmp_path / "work", *chosen) == 0
+    (path,) = (tmp_path / "work").glob("results/folder/cup/long-*.png")
+    np.testing.assert_allclose(read_normals(path), truth(0), atol=1e-4)
+    assert errors_of(tmp_path / "work")["long"] < 0.1
+
+
+def test_a_function_that_returns_another_shape_is_named(
+    module, objects, tmp_path, capsys
+):
+    module.write_text("def flat():\n    return lambda observed: observed.mask\n")
+    assert run(objects, tmp_path / "work", "-m", "python:my_methods:flat") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "'flat': expected normals of shape (20, 20, 3), got (20, 20)" in error
 
 
 def test_a_package_brings_a_method(module, monkeypatch):

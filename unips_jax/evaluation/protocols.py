@@ -107,7 +107,7 @@ def show(
         focal = crop_focal_ratio * protocol.size
     shape = (len(chosen), *crop.shown.shape, item.images.shape[-1])
     images = _filled(shape, (crop.of(_unit_range(item.images[i])) for i in chosen))
-    normals = None if item.normals is None else _unit_length(crop.of(item.normals))
+    normals = None if item.normals is None else unit_length(crop.of(item.normals))
     return Case(Observed(images, crop.shown, lights, focal), normals)
 
 
@@ -124,7 +124,7 @@ def shown_normals(
     """Normals of the photographs' size, brought to what methods are given."""
     if protocol.name == "native":
         return normals
-    return _unit_length(_Crop.around(mask, protocol.size).of(normals))
+    return unit_length(_Crop.around(mask, protocol.size).of(normals))
 
 
 class _Crop(NamedTuple):
@@ -184,8 +184,9 @@ def _resize(image: np.ndarray, size: int) -> np.ndarray:
     return cv2.resize(image, (size, size), interpolation=interpolation)
 
 
-def _unit_length(normals: np.ndarray) -> np.ndarray:
+def unit_length(normals: np.ndarray) -> np.ndarray:
+    """Vectors `[..., 3]` at unit length, float32; 0 where they have none."""
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.where(length > 1e-6, normals / np.maximum(length, 1e-6), 0).astype(
-        np.float32
-    )
+    known = np.isfinite(length) & (length > 1e-6)
+    unit = np.where(known, normals / np.where(known, length, 1), 0)
+    return unit.astype(np.float32)

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from unips_jax.baselines.method import Estimated, Unsupported
+from unips_jax.errors import InputError
 from unips_jax.evaluation.axes import errors_if_turned
 from unips_jax.evaluation.benchmarks import Item
 from unips_jax.evaluation.plan import Plan, Task, subsets_of
-from unips_jax.evaluation.protocols import Case, show, shown_normals
+from unips_jax.evaluation.protocols import Case, show, shown_normals, unit_length
 from unips_jax.evaluation.scores import Score, best_signs, from_json, score
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.variants import Variant
@@ -142,7 +143,7 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
     elif variant.foreign:
         surface = np.where(mask[..., None], normals, 0)
         record["integrability"] = integrability(surface)
-    store.commit(task.name, record, np.where(mask[..., None], normals, 0))
+    store.commit(task.name, record, unit_length(np.where(mask[..., None], normals, 0)))
 
 
 def estimate(variant: Variant, case: Case) -> Estimated:
@@ -154,7 +155,8 @@ def estimate(variant: Variant, case: Case) -> Estimated:
     normals = np.asarray(estimated.normals, np.float32)
     mask = case.observed.mask
     if normals.shape != (*mask.shape, 3):
-        raise ValueError(
+        kind = InputError if variant.foreign else ValueError  # which is a bug of ours
+        raise kind(
             f"method {variant.label!r}: expected normals of shape "
             f"{(*mask.shape, 3)}, got {normals.shape}"
         )
