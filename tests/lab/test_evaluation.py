@@ -1,6 +1,7 @@
 """The runner, its tables and the command."""
 
 import csv
+import dataclasses
 import json
 
 import evaluation_data as data
@@ -343,6 +344,23 @@ def test_diligent102_writes_a_submission(tmp_path, capsys):
         run("diligent102", tmp_path / "data", work, *chosen, "--protocol", "crop") == 2
     )
     assert "native" in capsys.readouterr().err
+
+
+def test_every_method_has_a_submission_of_its_own(tmp_path):
+    labels = ["mpm", "mpm\N{DAGGER}", "我的", "他的", "l1:iterations=3"]
+    store = Store(tmp_path)
+    entries = runner.Result("NUT_AL", {}, [], "", None, 3, None, {}, "", "a")
+    found = [dataclasses.replace(entries, label=label) for label in labels]
+    store.commit("a", {}, np.ones((2, 2, 3)))
+    results = Results(
+        "diligent102", "native", dict.fromkeys(labels, ""), (None,), found
+    )
+    folder = publish.write_submissions(store, results)
+    names = sorted(path.parent.name for path in folder.glob("*/NUT_AL.mat"))
+    assert len(names) == 5 and "mpm" in names
+    alone = dataclasses.replace(results, methods={labels[1]: ""})
+    publish.write_submissions(store, alone)  # has the same name in any run
+    assert sorted(path.name for path in folder.iterdir()) == names
 
 
 def test_unips_runs_from_the_command_line(ps_wild, tmp_path):

@@ -20,7 +20,7 @@ from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.summary import TABLES
 from unips_jax.evaluation.tables import figures_csv, files_of
 from unips_jax.io.claims import slug
-from unips_jax.io.door import write_whole
+from unips_jax.io.door import digest, write_whole
 from unips_jax.io.images import encode_image
 from unips_jax.io.results import appearing_at_once, filling
 from unips_jax.provenance import code_hash
@@ -150,7 +150,8 @@ def _write_observed(place: Path, observed: Observed) -> None:
 def write_submissions(store: Store, results: Results) -> Path:
     """Writes DiLiGenT10^2's files, a folder per method, into the folder it returns.
 
-    Files of objects that these results have no more are removed.
+    It is named as the method, with a hash where a folder cannot have that name. Files
+    of objects that these results have no more are removed.
     """
     folder = store.root / "submission"
     main = (results.main_count, results.seeds[0])
@@ -159,7 +160,10 @@ def write_submissions(store: Store, results: Results) -> Path:
             own = [*results.each(label, *main)]
             if not own:
                 continue
-            with appearing_at_once(folder / slug(label), ours=["*.mat"]) as new:
+            name = slug(label)
+            if name != label:  # which others may be too: mpm, and mpm with a dagger
+                name += f"-{digest(label)}"
+            with appearing_at_once(folder / name, ours=["*.mat"]) as new:
                 for result in own:
                     if not result.unsupported:
                         data = submission_bytes(store.normals(result.name))
