@@ -367,6 +367,28 @@ def test_a_function_that_returns_another_shape_is_named(
     assert "'flat': expected normals of shape (20, 20, 3), got (20, 20)" in error
 
 
+def test_a_change_anywhere_in_a_package_is_seen(tmp_path):
+    inner = tmp_path / "theirs" / "methods"
+    inner.mkdir(parents=True)
+    files = [
+        inner.parent / "__init__.py",
+        inner.parent / "core.py",
+        inner / "__init__.py",
+        inner / "ours.py",
+    ]
+    for path in files:
+        path.write_text("")
+    (tmp_path / "apart.py").write_text("")
+    for file in (inner / "ours.py", inner.parent / "__init__.py"):
+        hashes = {foreign.sources_hash(file)}
+        for path in files:
+            path.write_text(path.read_text() + "# changed\n")
+            hashes.add(foreign.sources_hash(file))
+        assert len(hashes) == 1 + len(files)
+        (tmp_path / "apart.py").write_text("# changed\n")
+        assert foreign.sources_hash(file) in hashes
+
+
 def test_a_package_brings_a_method(module, monkeypatch):
     known = {"leaning": "my_methods:leaning"}
     monkeypatch.setattr("unips_jax.evaluation.methods.installed", lambda: known)

@@ -110,11 +110,13 @@ def _factory(
 
 
 def sources_hash(file: Path | None) -> str:
-    """A hash of a module's source, and of its package's where it is in one."""
+    """A hash of a module's source, and of its whole package's where it is in one."""
     digest = hashlib.blake2b(digest_size=8)
     if file is not None:
-        package = (file.parent / "__init__.py").is_file()
-        for path in sorted(file.parent.rglob("*.py")) if package else [file]:
-            digest.update(path.relative_to(file.parent).as_posix().encode() + b"\0")
+        top = file  # or the outermost package around it
+        while (top.parent / "__init__.py").is_file():
+            top = top.parent
+        for path in sorted(top.rglob("*.py")) if top.is_dir() else [file]:
+            digest.update(path.relative_to(top.parent).as_posix().encode() + b"\0")
             digest.update(path.read_bytes())
     return digest.hexdigest()
