@@ -1,4 +1,4 @@
-"""JAX's flags `jax_debug_nans` and `jax_enable_x64`, through whole networks."""
+"""JAX's flags `jax_debug_nans` and `jax_enable_x64`, through whole methods."""
 
 import dataclasses
 import functools
@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from evaluation_data import lights, shade, sphere
 from small_networks import (
     SHALLOW,
     SHALLOW_OURS,
@@ -17,6 +18,8 @@ from small_networks import (
 from training_runs import CONFIG, batch
 
 from unips_jax import estimate_normals
+from unips_jax.baselines.method import Lights, Observed
+from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.training.chunked_sum import chunked_sum
 from unips_jax.training.state import init_state
 from unips_jax.training.step import batch_gradient, train_step
@@ -52,6 +55,22 @@ def test_sums_in_pieces_keep_their_type(flags):
         assert slope.dtype == jnp.float32
         found.append((float(value), float(slope)))
     assert found[0] == found[1] == (60.0, 30.0)
+
+
+def test_every_baseline_runs_with_wide_numbers(flags):
+    others = ["variational:iterations=2", "mpm:frame=integrability", "least-squares"]
+    variants = load_variants(["classical", *others], UnipsOptions(()))
+    mask, normals = sphere(24, 24)
+    directions = lights(8)
+    images = shade(normals, directions).astype(np.float32)
+    known = Lights(directions, np.ones((8, 3)))
+    for variant in variants:
+        found = []
+        for given in (NONE, X64):
+            flags(given)
+            estimate = variant.run(Observed(images, mask, known, np.inf))
+            found.append(getattr(estimate, "normals", estimate))
+        np.testing.assert_allclose(*found, atol=1e-5, err_msg=variant.label)
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def _balloon(mask: Array, start: Array, volume: Array) -> Array:
     def step(height: Array) -> Array:
         slope = gradient(height)
         flow = jax.linear_transpose(gradient, shape)(slope / root(slope))[0]
-        height = jnp.where(inner, height - (0.8 / np.sqrt(8)) * flow, 0.0)
+        height = jnp.where(inner, height - (0.8 / 8**0.5) * flow, 0.0)
         lift = volume - jnp.sum(height) / count
         return jnp.where(mask, height + lift, 0.0)
 

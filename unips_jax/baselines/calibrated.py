@@ -226,7 +226,8 @@ def _sparse_bayesian(values: Array, directions: Array, *, iterations: int) -> Ar
     def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
         variance = state[0]
         vector = _solve_weighted(values, directions, 1 / variance, ridge=1e-6)
-        covariance = _inverse(_gram(directions, 1 / variance) + jnp.eye(3))
+        gram = _gram(directions, 1 / variance)
+        covariance = _inverse(gram + jnp.eye(3, dtype=gram.dtype))
         spread = _squares(directions) @ covariance.reshape(9)
         residual = values - directions @ vector
         return jnp.maximum(residual**2 + spread, 1e-8), vector
@@ -239,7 +240,8 @@ def _solve_weighted(
     values: Array, directions: Array, weights: Array, *, ridge: float = 0.0
 ) -> Array:
     """Weighted least squares of one pixel, `[N]`, `[N, 3]`, `[N]` -> `[3]`."""
-    inverse = _inverse(_gram(directions, weights) + ridge * jnp.eye(3))
+    gram = _gram(directions, weights)
+    inverse = _inverse(gram + ridge * jnp.eye(3, dtype=gram.dtype))
     return jnp.sum(inverse * ((weights * values) @ directions), axis=-1)
 
 

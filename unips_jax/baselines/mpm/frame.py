@@ -102,7 +102,8 @@ def _refine(starts: Array, rows: Array, field: Array) -> tuple[Array, Array]:
         square = heavy.T @ slope + fall.T @ fall
         right = heavy.T @ misfit + fall.T @ short
         scale = damping * jnp.trace(square) / 3 + 1e-12
-        turn = -jnp.linalg.solve(square + scale * jnp.eye(3), right)
+        damped = square + scale * jnp.eye(3, dtype=square.dtype)
+        turn = -jnp.linalg.solve(damped, right)
         x, y, z = turn
         zero = jnp.zeros_like(x)
         spin = jnp.stack(

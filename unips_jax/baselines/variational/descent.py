@@ -38,7 +38,7 @@ def initial_state(depth: Array, problem: Problem) -> State:
     images = problem.images
     n, channels = images.shape[:2]
     albedo = jnp.sort(images, axis=0)[(n - 1) // 2]
-    frontal = jnp.zeros(9).at[2].set(-1.0).at[3].set(0.2)
+    frontal = jnp.zeros(9, jnp.float32).at[2].set(-1.0).at[3].set(0.2)
     return State(
         depth=depth,
         length=model.length_of(model.raw_normals(depth, problem)),
