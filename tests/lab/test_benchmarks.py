@@ -241,6 +241,36 @@ def test_truth_facing_away_is_reported(tmp_path):
     assert "away from the viewer" in note
 
 
+@pytest.mark.parametrize("others", [(), ("ball",)])
+def test_a_misspelt_object_is_named_with_those_there_are(tmp_path, others):
+    data.make_diligent(tmp_path / "d", objects=("ball", "bear", "cow"), images=2)
+    data.make_folder(tmp_path / "f")
+    data.make_ps_wild(tmp_path / "p", lightings=("mixed",))
+    there = {"diligent": "ball, bear", "folder": "cup, shoe", "ps-wild": "mixed/obj000"}
+    for name, names in there.items():
+        wanted = (*(others if name == "diligent" else ()), "bal")
+        with pytest.raises(InputError, match=f"no object 'bal' in .*; .* has {names}"):
+            open_benchmark(name, tmp_path / name[0], objects=wanted)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no object 'bal' in .*empty$"):
+        open_benchmark("diligent", tmp_path / "empty", objects=("bal",))
+
+
+def test_objects_that_are_not_wanted_are_not_read(tmp_path):
+    data.make_folder(tmp_path / "f")
+    for path in (tmp_path / "f" / "shoe").glob("IMG*"):
+        path.unlink()
+    (found,) = open_benchmark("folder", tmp_path / "f", objects=("cup",)).entries
+    assert found.name == "cup"
+    data.make_ps_wild(tmp_path / "p")
+    (tmp_path / "p" / "mixed" / "half.data").mkdir()
+    (tmp_path / "p" / "mixed" / "obj001.data" / "meta.json").write_text("{")
+    for wanted, count in (("obj000", 3), ("mixed/obj000", 1)):
+        assert (
+            len(open_benchmark("ps-wild", tmp_path / "p", objects=(wanted,))) == count
+        )
+
+
 def test_unknown_benchmark_and_missing_root(tmp_path):
     with pytest.raises(InputError, match="no benchmark 'x'"):
         open_benchmark("x", tmp_path)

@@ -1,6 +1,7 @@
 """What every benchmark is: a list of objects, read one at a time, never written to."""
 
 import abc
+import contextlib
 import dataclasses
 import hashlib
 import os
@@ -86,7 +87,7 @@ class Benchmark(abc.ABC):
         """Finds the files; keeps only `objects` (entries' or objects' names) if any."""
         self.root = files.require_folder(Path(root), f"the benchmark {self.name}")
         found = list(self.find(tuple(objects)))
-        if not found:
+        if not found and not objects:
             raise InputError(f"{self.root}: holds no object of the benchmark")
         known = {name for entry in found for name in (entry.name, entry.tags["object"])}
         twice = [name for name, n in Counter(e.name for e in found).items() if n > 1]
@@ -97,9 +98,10 @@ class Benchmark(abc.ABC):
             )
         unknown = [name for name in objects if name not in known]
         if unknown:
+            there = _some(sorted(known | self._names()))
             raise InputError(
-                f"no object {unknown[0]!r} in {self.root}; it has "
-                f"{_some(sorted(known))}"
+                f"no object {unknown[0]!r} in {self.root}"
+                + (f"; it has {there}" if there else "")
             )
         self.entries = tuple(
             entry
@@ -112,7 +114,15 @@ class Benchmark(abc.ABC):
 
     @abc.abstractmethod
     def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
-        """Yields the entries; may pass over objects other than those wanted."""
+        """Yields the entries; passes over objects other than those wanted, if any."""
+
+    def _names(self) -> set[str]:
+        """What objects may be asked for by, up to the first that is not whole."""
+        names: set[str] = set()
+        with contextlib.suppress(InputError):
+            for entry in self.find(()):
+                names |= {entry.name, entry.tags["object"]}
+        return names
 
     @abc.abstractmethod
     def truth(self, entry: Entry) -> Truth:

@@ -49,7 +49,8 @@ class Folder(Benchmark):
                 f"{self.root}: expected a normal map `normal.*`, or folders with one"
             )
         for folder in folders:
-            yield self._entry(folder)
+            if not objects or folder_name(folder) in objects:
+                yield self._entry(folder)
 
     def _entry(self, folder: Path) -> Entry:
         truth = _truth_file(folder)

@@ -70,7 +70,13 @@ class PSWildTest(Benchmark):
         parents = sorted(groups, key=lambda p: (_ORDER.get(_lighting(p), 9), str(p)))
         for parent in parents:
             for position, folder in enumerate(groups[parent]):
-                yield self._entry(folder, position, len(groups[parent]))
+                if not objects or set(objects) & set(self._named(folder)):
+                    yield self._entry(folder, position, len(groups[parent]))
+
+    def _named(self, folder: Path) -> tuple[str, str]:
+        """The names of the object and of its entry."""
+        name = folder.name.removesuffix(".data")
+        return name, (folder.parent.relative_to(self.root) / name).as_posix()
 
     def _entry(self, folder: Path, position: int, count: int) -> Entry:
         photographs = tuple(
@@ -82,13 +88,12 @@ class PSWildTest(Benchmark):
         if not photographs:
             raise InputError(f"{folder}: no photographs named {self.prefix.upper()}*")
         extras = [p for n in (MASK, META) if (p := folder / n).is_file()]
-        tags = {"object": folder.name.removesuffix(".data")}
-        relative = folder.parent.relative_to(self.root)
+        name, entry = self._named(folder)
+        tags = {"object": name}
         if folder.parent != self.root:
             tags["lighting"] = _lighting(folder.parent)
         tags |= _materials(folder, position, count)
-        name = (relative / tags["object"]).as_posix()
-        return Entry(name, photographs, (folder / NORMALS, *extras), tags)
+        return Entry(entry, photographs, (folder / NORMALS, *extras), tags)
 
     def truth(self, entry: Entry) -> Truth:
         """Reads the true normals and what `meta.json` holds of lights and camera."""
