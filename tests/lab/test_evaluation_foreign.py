@@ -143,6 +143,31 @@ def test_a_turned_axis_is_named_and_can_be_said(objects, tmp_path, capsys, optio
     assert errors_of(work)["mine"] < 0.01
 
 
+@pytest.mark.parametrize(
+    ("signs", "stated", "advised"),
+    [
+        ((1, 1, 1), "y=down", ""),
+        ((1, 1, 1), "channels=bgr", ""),
+        ((-1, 1, 1), "y=down", "x=left"),
+        ((1, -1, -1), "z=away", "y=down,z=away"),
+        ((-1, 1, -1), "z=away", "x=left,z=away"),
+        ((1, 1, -1), "z=away,channels=bgr", "z=away"),
+    ],
+)
+def test_what_was_stated_wrongly_is_known(
+    objects, tmp_path, capsys, signs, stated, advised
+):
+    made = tmp_path / "mine"
+    made.mkdir()
+    for i, name in enumerate(("cup", "shoe")):
+        np.save(made / f"{name}.npy", truth(i) * np.float32(signs))
+    assert run(objects, tmp_path / "work", "-m", f"files:{made},{stated}") == 0
+    warnings = [x for x in capsys.readouterr().err.splitlines() if "warning" in x]
+    said = f"files:DIR,{advised} says so" if advised else "files:DIR alone says so"
+    assert len(warnings) == 1 and f"({said})" in warnings[0]
+    assert "0.0 degrees when turned" in warnings[0]
+
+
 def test_a_bad_method_is_not_called_turned():
     """Normals far off, which no turn makes much better."""
     mask, true = data.sphere(30, 30)
@@ -442,4 +467,9 @@ def test_where_the_truth_is_withheld_slopes_tell(tmp_path, capsys, sign, warned)
     assert ("an axis seems to be the other way" in capsys.readouterr().err) == warned
     np.save(tmp_path / "mine" / "cat.npy", (normals * [1, 1, -1]).astype(np.float32))
     assert evaluation.main([*named, *chosen, *request]) == 0
-    assert "mine: z points away from the viewer (cat.npy)" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "z points away from the viewer (cat.npy); files:DIR,z=away says so" in error
+    np.save(tmp_path / "mine" / "cat.npy", normals.astype(np.float32))
+    assert evaluation.main([*named, *chosen, request[0], f"{request[1]},z=away"]) == 0
+    error = capsys.readouterr().err
+    assert "z points away from the viewer (cat.npy); leave z=away out" in error

@@ -134,9 +134,11 @@ def check_normal_files(plan: Plan) -> None:
         for line, names in mended.items():
             print_line("normals", f"{variant.label}: {line} ({_counted(names)})")
         if away:  # elsewhere the score shows it
+            stated = variant.files.signs[2] < 0
+            advice = "leave z=away out" if stated else "files:DIR,z=away says so"
             print(
                 f"warning: {variant.label}: z points away from the viewer "
-                f"({_counted(away)}); files:DIR,z=away says so",
+                f"({_counted(away)}); {advice}",
                 file=sys.stderr,
             )
         if not found:

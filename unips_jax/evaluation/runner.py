@@ -139,7 +139,9 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
     if case.normals is not None:
         record["score"] = score(normals, case.normals, mask)._asdict()
         if variant.foreign and not variant.oracle:
-            record["turned"] = errors_if_turned(normals, case.normals, mask)
+            files = variant.files
+            stated = [(files.signs, files.order)] if files else []
+            record["turned"] = errors_if_turned(normals, case.normals, mask, *stated)
     elif variant.foreign:
         surface = np.where(mask[..., None], normals, 0)
         record["integrability"] = integrability(surface)
