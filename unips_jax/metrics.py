@@ -35,7 +35,10 @@ def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
 def mean_angular_error_deg(
     predicted: ArrayLike, true: ArrayLike, mask: ArrayLike
 ) -> Array:
-    """Mean angle over the mask, in degrees; NaN if the mask is empty."""
-    inside = jnp.asarray(mask) > 0
+    """Mean angle over the mask, in degrees; NaN if the mask is empty.
+
+    The mask, `[...]`, and the fields of vectors, `[..., 3]`, broadcast.
+    """
     error = angular_error_deg(predicted, true)
+    inside, error = jnp.broadcast_arrays(jnp.asarray(mask) > 0, error)
     return jnp.sum(jnp.where(inside, error, 0.0)) / jnp.sum(inside)

@@ -12,6 +12,14 @@ from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
 from unips_jax.models import ops
 
 
+def test_one_mask_serves_several_estimates():
+    true = np.float32([0, 0, 1]) + np.zeros((2, 4, 3), np.float32)
+    tilted = np.float32([1, 0, 1]) + np.zeros((3, 2, 4, 3), np.float32)
+    mask = np.array([[1, 1, 0, 0], [1, 0, 0, 0]], bool)
+    for pair in ((tilted, true, mask), (tilted[0], true, np.stack([mask, mask]))):
+        assert mean_angular_error_deg(*pair) == pytest.approx(45, abs=1e-4)
+
+
 def test_window_round_trip():
     x = jax.random.normal(jax.random.key(0), (2, 10, 15, 3))
     windows = ops.window_partition(x, 5)
