@@ -274,6 +274,17 @@ def test_published_means_are_over_the_objects_evaluated(tmp_path):
     assert "PS-FCN" not in means
 
 
+@pytest.mark.parametrize("objects", [("Ball",), data.LUCES])
+def test_means_alone_compare_with_all_objects_alone(tmp_path, objects):
+    data.make_luces(tmp_path / "data", objects=objects)
+    chosen = ("--method", "constant", "--objects", *objects)
+    assert run("luces", tmp_path / "data", tmp_path / "work", *chosen) == 0
+    stored = json.loads((tmp_path / "work" / "tables" / "tables.json").read_text())
+    names = {row[0] for row in stored["summary"]["rows"]}
+    assert ("LINO-UniPS" in names) == (objects == data.LUCES)
+    assert "LINO-UniPS" in [row[1] for row in stored["published"]["rows"]]
+
+
 # The command
 
 

@@ -109,6 +109,9 @@ PUBLISHED: dict[str, tuple[Published, ...]] = {
 }
 
 
+# How many objects the means are over, where nothing but means is printed.
+_COUNTS = {"luces": 14, "diligent102": 100}
+
 DATA = {
     "ps-wild": "PS-Wild-Test",
     "diligent": "DiLiGenT",
@@ -129,10 +132,14 @@ def mean(row: Published, evaluated: Sequence[str] = ()) -> float:
     return sum(row.scores.values()) / len(row.scores)
 
 
-def comparable(rows: Sequence[Published], evaluated: Sequence[str]) -> list[Published]:
-    """The rows whose mean compares with one over these objects and lightings."""
-    # Rows that print nothing but a mean are left out where others were evaluated too.
+def comparable(benchmark: str, evaluated: Sequence[str]) -> list[Published]:
+    """A benchmark's rows whose mean compares with one over these objects and lightings.
+
+    Rows that print nothing but a mean are over all of its objects.
+    """
+    rows = PUBLISHED.get(benchmark, ())
     known = {name for row in rows for name in row.scores} - {"mean"}
-    if not known & set(evaluated) or known <= set(evaluated):
+    whole = not known & set(evaluated) or known <= set(evaluated)
+    if whole and len(evaluated) >= _COUNTS.get(benchmark, 0):
         return list(rows)
     return [row for row in rows if set(row.scores) != {"mean"}]

@@ -105,8 +105,8 @@ def _shown(results: Results) -> list[Published]:
         groups.add("canonical size")
     if any("uniform contexts" in label for label in results.labels):
         groups.add("contexts")
-    known = [r for r in PUBLISHED.get(results.benchmark, ()) if r.group in groups]
-    return comparable(known, results.evaluated)
+    known = comparable(results.benchmark, results.evaluated)
+    return [row for row in known if row.group in groups]
 
 
 def _images(results: Results) -> Table:
