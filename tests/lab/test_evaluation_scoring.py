@@ -228,6 +228,7 @@ def test_options_are_read_and_reach_the_method():
         ("gcnet", "expected a file of weights"),
         ("gcnet:weights=nowhere.safetensors", "expected a file of weights"),
         ("unips:size=3", "--canonical-size"),
+        ("unips:lights=False", "expected fast=true, lights=true or lights=20"),
     ],
 )
 def test_bad_requests(request_, message):

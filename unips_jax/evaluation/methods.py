@@ -160,7 +160,8 @@ def _unips_options(request: str, text: str) -> dict[str, Any]:
         if name == "fast" and known is True:
             found["fast"] = True
         elif name == "lights" and (
-            known is True or (isinstance(known, int | float) and 0 <= known < 90)
+            known is True
+            or (type(known) in (int, float) and 0 <= known < 90)  # not False
         ):
             found["lights"] = 0.0 if known is True else float(known)
         else:
