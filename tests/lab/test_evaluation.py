@@ -389,3 +389,4 @@ def test_help_names_every_method(capsys):
         evaluation.main(["--help"])
     text = "".join(capsys.readouterr().out.split())
     assert all(name in text for name in methods.NAMES)
+    assert f"classical({','.join(methods.CLASSICAL)})" in text

@@ -1,7 +1,9 @@
 """Protocols, scores and methods."""
 
 import json
+import re
 import tracemalloc
+from pathlib import Path
 
 import evaluation_data as data
 import numpy as np
@@ -16,6 +18,7 @@ from unips_jax.evaluation import protocols
 from unips_jax.evaluation.benchmarks import Item
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.protocols import Box, Protocol
+from unips_jax.evaluation.registry import CLASSICAL
 from unips_jax.evaluation.scores import best_signs, from_json, score
 
 NO_WEIGHTS = UnipsOptions(())
@@ -234,6 +237,12 @@ def test_options_are_read_and_reach_the_method():
 def test_bad_requests(request_, message):
     with pytest.raises(InputError, match=message):
         load_variants([request_], NO_WEIGHTS)
+
+
+def test_classical_is_what_is_said_of_it():
+    page = Path(__file__).parents[2] / "docs" / "evaluation.md"
+    (said,) = re.findall(r"`classical` stands for ([^.]*)\.", page.read_text())
+    assert re.findall(r"`([^`]*)`", said) == CLASSICAL
 
 
 @pytest.mark.parametrize("name", ["classical", "variational", "mpm"])

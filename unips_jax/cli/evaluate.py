@@ -22,7 +22,7 @@ from unips_jax.evaluation import plan as planning
 from unips_jax.evaluation.benchmarks import BENCHMARKS, Benchmark, open_benchmark
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.protocols import Protocol
-from unips_jax.evaluation.registry import NAMES
+from unips_jax.evaluation.registry import CLASSICAL, NAMES
 from unips_jax.evaluation.store import Store
 
 _T = TypeVar("_T")
@@ -37,8 +37,8 @@ class Options:
         benchmark: which data.
         root: the benchmark's folder; it is never written to.
         workdir: where results are kept.
-        method: name or name:option=value,...; 'classical' stands for the baselines
-            without weights; the constant normal is always added.
+        method: name or name:option=value,...; 'classical' stands for several; the
+            constant normal is always added.
         weights: of unips, shipped names or files, each a method; tiny if not given.
         objects: only these.
         protocol: crop, the paper's square crop around the mask, or native, the images
@@ -64,9 +64,9 @@ class Options:
         tyro.conf.arg(
             aliases=["-m"],
             metavar="NAME [NAME ...]",
-            help_behavior_hint=f"Names: {', '.join(NAMES)}, classical; files:DIR, "
-            "normals that another program made; python:package.module:factory, your "
-            "own. (default: unips)",
+            help_behavior_hint=f"Names: {', '.join(NAMES)}, classical "
+            f"({', '.join(CLASSICAL)}); files:DIR, normals that another program made; "
+            "python:package.module:factory, your own. (default: unips)",
         ),
     ] = ("unips",)
     weights: _Several[str] = ()

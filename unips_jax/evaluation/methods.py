@@ -54,8 +54,7 @@ class UnipsOptions(NamedTuple):
 def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]:
     """Readies the methods asked for, and the constant normal, the floor of any table.
 
-    A request is `name` or `name:option=value,...`; `classical` stands for the baselines
-    that need no weights.
+    A request is `name` or `name:option=value,...`; `classical` stands for `CLASSICAL`.
     """
     variants: list[Variant] = []
     expanded = [
