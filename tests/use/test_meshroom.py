@@ -21,7 +21,9 @@ from small_networks import lively_network
 from training_runs import write_objects
 
 from unips_jax.cli.main import main
+from unips_jax.io.images import write_image
 from unips_jax.io.normals import read_normals
+from unips_jax.io.selection import SUFFIXES
 from unips_jax.weights import save_weights
 
 PLUGIN = Path(__file__).resolve().parents[2] / "integrations" / "meshroom"
@@ -151,6 +153,56 @@ def test_poses_of_sfm_data_by_seed_format_and_convention(node, poses):
         json.loads((poses / run / "0_normals.json").read_text()) for run in ("a", "c")
     ]
     assert all(len(record["images"]) == 2 for record in records)
+
+
+def test_a_folder_is_read_as_by_the_command(node, poses):
+    root, rock = poses / "places", poses / "places" / "rock"
+    rng = np.random.default_rng(0)
+    for name in ("0.jpg", "0.tif", "1.jpg", "1.tif", "2.png"):
+        write_image(rock / name, rng.integers(30, 220, (16, 16, 3), np.uint8))
+    mask = np.zeros((16, 16), np.uint8)
+    mask[4:12, 4:12] = 255
+    write_image(rock / "Mask.png", mask)
+    (rock / "._0.jpg").write_bytes(b"of macOS")
+    write_image(root / ".thumbs" / "0.png", mask)
+    (root / "phone").mkdir()
+    (root / "phone" / "0.heic").write_bytes(b"no image")
+    weights = ["--weights", str(poses / "small.safetensors")]
+    given = {"input": str(root), "weights": weights[1], "failurePolicy": "skip"}
+    compute(node, poses / "out", **given)
+    assert main(["estimate", str(rock), "-o", str(poses / "own"), *weights]) == 0
+    outcome = json.loads((poses / "out" / "poses.json").read_text())
+    assert outcome.pop("rock") == "done" and list(outcome) == ["phone"]
+    assert "phone/0.heic: expected " in outcome["phone"]
+    found, expected = (
+        json.loads((poses / file).read_text())
+        for file in ("out/rock_normals.json", "own/rock/normals.json")
+    )
+    for fact in ("images", "mask_pixels", "folder"):
+        assert found[fact] == expected[fact]
+    assert len(found["images"]) == 3 and found["mask_pixels"] == 64
+    assert node.IMAGES == SUFFIXES
+
+
+def test_views_are_read_without_hidden_files_under_their_mask(node, poses):
+    places = poses / "places"
+    rng = np.random.default_rng(0)
+    for index in range(2):
+        write_image(
+            places / f"{index}.png", rng.integers(30, 220, (16, 16, 3), np.uint8)
+        )
+    mask = np.zeros((16, 16), np.uint8)
+    mask[4:12, 4:12] = 255
+    write_image(places / "Mask.png", mask)
+    (places / "._0.png").write_bytes(b"of macOS")
+    names = ("._0.png", "0.png", "1.png")
+    views = [{"poseId": "7", "path": str(Path("places", name))} for name in names]
+    (poses / "in.sfm").write_text(json.dumps({"views": views}))
+    weights = str(poses / "small.safetensors")
+    compute(node, poses / "out", input=str(poses / "in.sfm"), weights=weights)
+    record = json.loads((poses / "out" / "7_normals.json").read_text())
+    assert list(record["images"]) == ["0000_0.png", "0001_1.png"]
+    assert record["mask_pixels"] == 64
 
 
 def test_failures_stop_or_are_skipped(node, poses):

@@ -7,7 +7,6 @@ command, in an environment of its own.
 import json
 import logging
 import os
-import re
 import shlex
 import shutil
 import subprocess
@@ -19,7 +18,13 @@ from meshroom.core import desc
 
 # What a folder of photographs may hold besides.
 MAPS = {"mask", "normal", "normals", "depth", "albedo"}
-IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".exr", ".hdr", ".bmp"}
+# As `unips estimate` knows them.
+IMAGES = set(
+    ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr .pgm .ppm .pnm .pbm .gif"
+    " .tga .mpo .heic .heif .avif .dng .cr2 .cr3 .crw .nef .nrw .arw .srf .sr2 .raf"
+    " .rw2 .rwl .orf .pef .srw .x3f .3fr .fff .iiq .mrw .kdc .dcr .erf .mef .mos"
+    " .raw".split()
+)
 
 
 class UniPSNormals(desc.Node):
@@ -147,7 +152,7 @@ def estimate_poses(options: dict[str, Any], output: Path, log: Any) -> dict[str,
     output.mkdir(parents=True, exist_ok=True)
     outcome: dict[str, str] = {}
     for number, (pose, photographs) in enumerate(poses.items(), 1):
-        log.info(f"pose {pose} ({number} of {len(poses)}): {len(photographs)} images")
+        log.info(f"pose {pose} ({number} of {len(poses)})")
         try:
             _estimate(pose, photographs, options, output)
             outcome[pose] = "done"
@@ -163,8 +168,8 @@ def estimate_poses(options: dict[str, Any], output: Path, log: Any) -> dict[str,
     return outcome
 
 
-def find_poses(source: Path) -> dict[str, list[Path]]:
-    """The photographs of each pose, by its name, sorted.
+def find_poses(source: Path) -> dict[str, Path | list[Path]]:
+    """The folder or the photographs of each pose, by its name, sorted.
 
     Args:
         source: an SfMData file, or a folder of folders of photographs.
@@ -172,55 +177,49 @@ def find_poses(source: Path) -> dict[str, list[Path]]:
     Raises:
         RuntimeError: if there are none.
     """
-    poses: dict[str, list[Path]] = {}
+    folders: dict[str, Path] = {}
+    views: dict[str, list[Path]] = {}
     if source.is_dir():
-        for folder in sorted(path for path in source.iterdir() if path.is_dir()):
-            files = [path for path in folder.iterdir() if _is_photograph(path)]
-            if files:
-                poses[re.sub(r"\.data$", "", folder.name)] = files
+        for folder in sorted(source.iterdir()):
+            if folder.is_dir() and not folder.name.startswith(".") and _images(folder):
+                folders[folder.name.removesuffix(".data")] = folder
     elif source.is_file():
         try:
-            views = json.loads(source.read_text())["views"]
-            for view in views:
-                path = Path(view["path"])
-                poses.setdefault(str(view["poseId"]), []).append(
-                    path if path.is_absolute() else source.parent / path
-                )
+            for view in json.loads(source.read_text())["views"]:
+                path = source.parent / view["path"]
+                if not path.name.startswith("."):
+                    views.setdefault(str(view["poseId"]), []).append(path)
         except (ValueError, KeyError, TypeError) as error:
             raise RuntimeError(
                 f"{source}: expected SfMData with views of path and poseId, got "
                 f"{type(error).__name__}: {error}"
             ) from error
-    if not poses:
+    if not folders and not views:
         raise RuntimeError(
             f"{source}: expected an SfMData file, or a folder with a folder of "
             "photographs for every pose; found neither"
         )
-    return {pose: sorted(paths) for pose, paths in sorted(poses.items())}
+    return {**folders, **{pose: sorted(views[pose]) for pose in sorted(views)}}
 
 
 def _estimate(
-    pose: str, photographs: list[Path], options: dict[str, Any], output: Path
+    pose: str, given: Path | list[Path], options: dict[str, Any], output: Path
 ) -> None:
-    """One pose, in a folder of links, so that only its photographs are read."""
+    """One pose: its folder, or one of links, so that only its photographs are read."""
     with tempfile.TemporaryDirectory(dir=output, prefix=f".{pose}-") as scratch:
-        folder = Path(scratch) / pose
-        folder.mkdir()
         links = {}
-        for number, path in enumerate(photographs):
-            if not path.is_file():
-                raise RuntimeError(f"{path}: no such file")
-            # Views of different folders may have the same name.
-            link = folder / f"{number:04}_{path.name}"
-            _link(path, link)
-            links[str(link)] = str(path)
+        if isinstance(given, Path):
+            folder = given
+        else:
+            folder = Path(scratch) / pose
+            links = _linked(given, folder)
         command = [*shlex.split(options["executable"]), "estimate", str(folder)]
         command += ["-o", str(Path(scratch) / "out"), "--weights", options["weights"]]
         command += ["--normal-map", options["convention"]]
         if options["maxImages"]:
-            count = min(options["maxImages"], len(photographs))
-            command += ["--max-images", str(count), "--seed", str(options["seed"])]
-        mask = _mask(pose, photographs, options["maskFolder"])
+            command += ["--max-images", str(options["maxImages"])]
+            command += ["--seed", str(options["seed"])]
+        mask = _mask(pose, given, options["maskFolder"])
         if mask is not None:
             command += ["--mask", str(mask)]
         if options["outputFormat"] != "png":
@@ -255,25 +254,48 @@ def _run(command: list[str]) -> None:
         )
 
 
-def _is_photograph(path: Path) -> bool:
-    return path.suffix.lower() in IMAGES and path.stem.lower() not in MAPS
+def _images(folder: Path) -> list[Path]:
+    """Files that may be photographs; `unips estimate` chooses among them."""
+    return [
+        path
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in IMAGES
+        and path.stem.lower() not in MAPS
+        and not path.name.startswith(".")
+    ]
 
 
-def _mask(pose: str, photographs: list[Path], folder: str) -> Path | None:
-    """The pose's mask in the mask folder; else one among the photographs."""
+def _mask(pose: str, given: Path | list[Path], folder: str) -> Path | None:
+    """The pose's mask in the mask folder; else one among the photographs of views.
+
+    That of a pose's own folder is found by `unips estimate`.
+    """
+    photographs = _images(given) if isinstance(given, Path) else given
     if folder:
         for stem in (pose, *(path.stem for path in photographs)):
             for path in sorted(Path(folder).glob(f"{stem}.*")):
                 if path.suffix.lower() in IMAGES:
                     return path
-    for path in sorted(photographs[0].parent.glob("mask.*")):
-        if path.suffix.lower() in IMAGES:
+    if isinstance(given, Path):
+        return None
+    for path in sorted(given[0].parent.iterdir()):
+        if path.stem.lower() == "mask" and path.suffix.lower() in IMAGES:
             return path
     return None
 
 
-def _link(source: Path, target: Path) -> None:
-    try:
-        target.symlink_to(source.resolve())
-    except OSError:  # Windows, without the right to
-        shutil.copyfile(source, target)
+def _linked(photographs: list[Path], folder: Path) -> dict[str, str]:
+    """Makes a folder of links; returns what they lead to."""
+    folder.mkdir()
+    links = {}
+    for number, path in enumerate(photographs):
+        if not path.is_file():
+            raise RuntimeError(f"{path}: no such file")
+        # Views of different folders may have the same name.
+        link = folder / f"{number:04}_{path.name}"
+        try:
+            link.symlink_to(path.resolve())
+        except OSError:  # Windows, without the right to
+            shutil.copyfile(path, link)
+        links[str(link)] = str(path)
+    return links
