@@ -140,7 +140,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("output", metavar="OUT", type=Path, help="folder of the page")
     parser.add_argument("--weights", default="tiny", help="shipped name or file (tiny)")
     arguments = parser.parse_args(argv)
-    check_target(arguments.output, SOURCE, record="index.html")
+    check_target(arguments.output, SOURCE, record=RECORD)
     network = load_weights(arguments.weights)
     archives = {
         package: fetch(f"{package.name}@{package.version}", package.sha512)

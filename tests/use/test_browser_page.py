@@ -355,6 +355,19 @@ def test_the_page_is_small(small):
     assert size + 16.4e6 < 40e6
 
 
+def test_another_site_is_left_alone(tmp_path, capsys):
+    (tmp_path / "index.html").write_text("mine")
+    (tmp_path / "about.html").write_text("mine")
+    given = [str(tmp_path), "--weights", str(tmp_path / "none.safetensors")]
+    assert build(given) == 2
+    assert "(network/export.json), got one with other" in capsys.readouterr().err
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["mine", "mine"]
+    (tmp_path / "network").mkdir()
+    (tmp_path / "network" / "export.json").write_text("{}")
+    assert build(given) == 2  # one of ours: the next thing that is wrong
+    assert "none.safetensors: expected" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_page_with_the_shipped_weights(driver, tmp_path):
     assert build([str(tmp_path / "out")]) == 0
