@@ -183,6 +183,21 @@ def test_failures_are_recorded_and_the_rest_is_rendered(
     assert len(list((tmp_path / "set").glob("*/*.data"))) == 12
 
 
+def test_drawn_environments_go_with_their_object(stand_in, tmp_path, monkeypatch):
+    left = []
+    with blender_process.Blender(stand_in) as blender:
+
+        def seen(jobs, *_, **__):
+            for job in jobs:
+                yield job
+                left.extend(path.name for path in blender.folder.glob("*.hdr"))
+
+        monkeypatch.setattr(run, "track", seen)
+        out = tmp_path / "set"
+        assert not run.render_set(blender, assets.drawn_jobs(2, 5), SETTINGS, out)
+    assert left == [] and len(list(out.glob("environment/*.data"))) == 2
+
+
 def test_rotations_that_do_not_fit_are_drawn_again(stand_in, monkeypatch):
     monkeypatch.setenv("UNFIT", "1")
     with blender_process.Blender(stand_in) as blender:

@@ -270,6 +270,8 @@ def render_set(
             write_whole(failures / f"{job.name}.txt", f"{error}\n".encode())
             print(f"{job.name}: left out: {error}", file=sys.stderr)
             failed.append(job.name)
+        for drawn in blender.folder.glob("*.hdr"):  # of thousands of objects: GB
+            drawn.unlink()
     return failed
 
 
