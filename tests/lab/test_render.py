@@ -164,6 +164,21 @@ def test_shapes_come_in_turn(monkeypatch, tmp_path, scene, capsys):
     assert "'shapes': ['relief', 'plate']" in capsys.readouterr().err
 
 
+def test_rows_of_the_sheet_take_shapes_in_turn(monkeypatch, tmp_path, scene):
+    row = jax.tree.map(lambda leaf: np.stack([leaf] * 8), scene)
+    row = row._replace(images=row.images[:, [0, 1, 1]])
+    drawn = []
+    monkeypatch.setattr(
+        folders,
+        "render_batch",
+        lambda *_, shape=None, **__: drawn.append(shape) or row,
+    )
+    arguments = ["--sheet", str(tmp_path / "sheet.png")]
+    assert render.main(arguments) == 0 and drawn == [None] * 8
+    assert render.main([*arguments, "--shapes", "relief", "plate"]) == 0
+    assert [SHAPE_KINDS[kind] for kind in drawn[8:]] == ["relief", "plate"] * 4
+
+
 def test_several_processes_share_a_tree(monkeypatch, tmp_path, scene):
     _stand_in(monkeypatch, scene)
     leftover = tmp_path / "mixed" / ".unips-killed"

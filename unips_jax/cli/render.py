@@ -42,7 +42,7 @@ class Options:
         images: per folder.
         size: side of the images in pixels, a multiple of 4.
         seed: of the scenes.
-        shapes: of the objects, in turn; any without.
+        shapes: of the objects, and of the sheet's rows, in turn; any without.
         engine: what renders.
     """
 
@@ -83,7 +83,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     from unips_jax.scenes.folders import render_folders, render_sheet
 
     if options.sheet is not None:
-        render_sheet(options.sheet, size=options.size, seed=options.seed)
+        render_sheet(
+            options.sheet, size=options.size, seed=options.seed, shapes=options.shapes
+        )
         print(f"wrote {options.sheet}")
     if options.output is not None:
         render_folders(

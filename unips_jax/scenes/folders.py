@@ -89,10 +89,9 @@ def render_folders(
         if _is_there(folder, options):  # another process was faster
             continue
         key = jax.random.fold_in(jax.random.key(seed), index)
-        kind = shapes[index % len(shapes)] if shapes else None
         batch = render_batch(
             key[None],
-            shape=None if kind is None else np.int32(SHAPE_KINDS.index(kind)),
+            shape=_in_turn(shapes, index),
             size=size,
             num_images=images,
             config=_FOLDER_CONFIG,
@@ -107,6 +106,11 @@ def render_folders(
             np.asarray, (scene.images, scene.mask, scene.normals)
         )
         write_folder(folder, photographs, mask, normals, facts)
+
+
+def _in_turn(shapes: tuple[str, ...], index: int) -> np.int32 | None:
+    """The shape's number; None for any."""
+    return np.int32(SHAPE_KINDS.index(shapes[index % len(shapes)])) if shapes else None
 
 
 def _is_there(folder: Path, options: dict[str, Any]) -> bool:
@@ -146,12 +150,18 @@ def contact_sheet(scenes: Scene, *, columns: int = 8) -> np.ndarray:
     return np.rint(np.clip(np.concatenate(rows), 0, 1) * 255).astype(np.uint8)
 
 
-def render_sheet(path: Path, *, size: int, seed: int, scenes: int = 64) -> None:
-    """Writes a contact sheet of random scenes, eights of them, images `size` wide."""
+def render_sheet(
+    path: Path, *, size: int, seed: int, scenes: int = 64, shapes: tuple[str, ...] = ()
+) -> None:
+    """Writes a contact sheet of random scenes, eights of them, images `size` wide.
+
+    Rows of eight take `shapes` in turn.
+    """
     batches = []
     for first in track(range(0, scenes, 8), "rendering"):
         keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), first), 8)
-        batch = render_batch(keys, size=size, num_images=3)
+        shape = _in_turn(shapes, first // 8)
+        batch = render_batch(keys, shape=shape, size=size, num_images=3)
         batches.append(jax.tree.map(np.asarray, batch))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
     write_whole(path, encode_image(path.suffix, contact_sheet(joined)))
