@@ -253,6 +253,10 @@ def test_what_does_not_belong_is_refused(tmp_path, capsys):
     for text in ("[]", "{", '{"views": [], "intrinsics": []}'):
         (tmp_path / "other.sfm").write_text(text)
         refused([*results, *other], "expected ")
+    content = sfm_data(tmp_path, "1.2")
+    content["intrinsics"][0]["pixelRatio"] = "0.5"
+    (tmp_path / "other.sfm").write_text(json.dumps(content))
+    refused([*results, *other], "other.sfm: expected lenses of pixelRatio 1, got 0.5")
     # Without colours there is no albedo; distortion is not passed over in silence.
     content = sfm_data(tmp_path, "1.2")
     content["intrinsics"][0]["distortionParams"] = ["0.1"]

@@ -58,6 +58,8 @@ def read_sfm_data(file: Path) -> tuple[list[Camera], dict[str, Any]]:
         cameras = _cameras(content, file.resolve().parent)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror}") from None
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{file}: expected SfMData with views, intrinsics and poses, got "
@@ -105,7 +107,12 @@ def _matrix(lens: dict[str, Any], size: tuple[int, int]) -> np.ndarray:
     else:
         millimetre = size[0] / float(lens["sensorWidth"])
         focal = np.array([float(lens["focalLength"]) * millimetre])
-        focal = np.append(focal, focal * float(lens.get("pixelRatio", 1)))
+        ratio = float(lens.get("pixelRatio", 1))
+        if abs(ratio - 1) > 1e-4:  # its meaning changed between file versions
+            raise InputError(
+                f"expected lenses of pixelRatio 1, got {ratio:g}; leave Pixel Ratio 1 "
+                "and locked in CameraInit"
+            )
         point = point + np.array(size) / 2
     matrix = np.diag([focal[0], focal[-1], 1.0])
     matrix[:2, 2] = point
