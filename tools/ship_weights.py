@@ -81,6 +81,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     cache_compilations()
     target, old = weights_path(arguments.over), weights_record(arguments.over)
     new = weights_record(arguments.weights)
+    for file, record, name in (
+        (arguments.weights, new, "step"),
+        (arguments.over, old, "steps"),
+    ):
+        if name not in record:
+            raise InputError(
+                f"{file}: expected a record with {name!r}, got {sorted(record)}; give "
+                "a training run's FILE, --over what this tool wrote"
+            )
     images = sorted(arguments.images)
     with tempfile.TemporaryDirectory() as folder:
         halved = str(Path(folder) / "new.safetensors")

@@ -224,6 +224,20 @@ def test_the_mean_of_old_and_new_weights_can_be_shipped(tmp_path, monkeypatch, c
     assert old.read_bytes() == shipped
 
 
+def test_weights_without_steps_are_refused_unscored(tmp_path, monkeypatch, capsys):
+    ship = runpy.run_path(str(TOOLS / "ship_weights.py"))["main"]
+    run, shipped = tmp_path / "run.safetensors", tmp_path / "shipped.safetensors"
+    network = random_weights(SMALL)
+    save_weights(run, network, record={"step": 2})
+    save_weights(shipped, network, record={"steps": {"all scenes": 40}})
+    monkeypatch.setitem(ship.__wrapped__.__globals__, "validate", None)
+    for file in (run, shipped):
+        assert ship([str(file), "--over", str(file)]) == 2
+        error = capsys.readouterr().err
+        assert f"{file}: expected a record with 'step" in error
+        assert error.count("\n") == 1
+
+
 def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys):
     main = runpy.run_path(str(TOOLS / "render_cycles.py"))["main"]
     given = ["--setup", str(tmp_path / "bpy"), "--python", "python3.0"]
