@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from unips_jax.console import command
 from unips_jax.errors import InputError
 from unips_jax.training import DataConfig, load_config, write_folder
 from unips_jax.training.folders import READ_AHEAD, folder_batches
@@ -66,6 +67,7 @@ def measure(
     return figures
 
 
+@command
 def main(argv: Sequence[str] | None = None) -> None:
     """Measures and prints."""
     parser = argparse.ArgumentParser(
@@ -95,4 +97,4 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -36,6 +36,7 @@ import scipy.ndimage
 import tyro
 
 import unips_jax
+from unips_jax.console import command
 from unips_jax.estimation.confidence import normal_spread
 from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.evaluation.benchmarks.base import Item
@@ -116,9 +117,10 @@ class Errors(NamedTuple):
     error: np.ndarray
 
 
-def main() -> None:
+@command
+def main(argv: Sequence[str] | None = None) -> None:
     """Measures and prints."""
-    options = tyro.cli(Options, description=__doc__)
+    options = tyro.cli(Options, args=argv, description=__doc__)
     network = unips_jax.load_weights(options.weights)
     found: dict[str, dict[str, list[Any]]] = {}
     for case in _cases(options):
@@ -361,4 +363,4 @@ def _confidence(objects: Sequence[Errors]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -238,6 +238,22 @@ def test_weights_without_steps_are_refused_unscored(tmp_path, monkeypatch, capsy
         assert error.count("\n") == 1
 
 
+def test_wrong_paths_are_one_line(tmp_path, capsys):
+    absent = str(tmp_path / "absent")
+    rate, maps = (
+        runpy.run_path(str(TOOLS / f"{name}.py"))["main"]
+        for name in ("data_rate", "maps")
+    )
+    assert rate([absent, "--workers", "0"]) == 2
+    assert maps(["--diligent", absent]) == 2
+    assert maps(["--ps-wild", absent]) == 2
+    assert maps(["--weights", absent]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 4
+    assert all("absent" in error and "expected" in error for error in errors)
+    assert errors[0].startswith(f"error: {absent}: expected folders X.data")
+
+
 def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys):
     main = runpy.run_path(str(TOOLS / "render_cycles.py"))["main"]
     given = ["--setup", str(tmp_path / "bpy"), "--python", "python3.0"]

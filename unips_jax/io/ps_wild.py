@@ -166,8 +166,8 @@ class PSWildFolders:
         folders = sorted(path for name in below if (path := root / name).is_dir())
         if not folders:
             raise InputError(
-                f"--data.root {str(root)!r}: expected folders X.data with photographs "
-                "0* or L* and normal.tif, found none; `unips render` makes some"
+                f"{root}: expected folders X.data with photographs 0* or L* and "
+                "normal.tif, found none; `unips render` makes some"
             )
         self._objects = [_find_files(folder, min_images) for folder in folders]
 
