@@ -8,11 +8,13 @@ to two: first the first lighting network, and the normal network under true ligh
 everything end to end. The scenes are single directional lights of the training
 distribution, 64 x 64 and not 128 x 128, so the method is to be used with `side=64`.
 Prints errors of held-out lights at the end. Stopped and started again, it goes on from
-the last multiple of 50 steps, kept next to the output as `*.part`.
+the last multiple of 50 steps, kept next to the output as `*.part`, if the options are
+the same.
 """
 
 import argparse
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +22,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from flax.serialization import from_bytes, to_bytes
+from flax.serialization import from_state_dict, msgpack_restore, to_bytes
 from jax import Array
 
 from unips_jax.baselines.gcnet.lights import Logits, encode, light_errors, soft_lights
 from unips_jax.baselines.gcnet.networks import GCNet, LightNet, NormalNet, with_lights
 from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.baselines.method import Lights
-from unips_jax.console import cache_compilations
+from unips_jax.console import cache_compilations, command
+from unips_jax.errors import InputError
 from unips_jax.io.door import write_whole
 from unips_jax.scenes import LIGHT_KINDS, SceneConfig, render_batch
 
@@ -113,6 +116,8 @@ def train(steps: int, objects: int, seed: int, kept: Path) -> dict[str, Any]:
 
     The state is kept in a file, and taken from it if it is there.
     """
+    settings = {"steps": steps, "objects": objects, "seed": seed}
+    earlier = read_state(kept, settings)
     key = jax.random.key(seed)
     empty = jnp.zeros((1, 2, SIZE, SIZE, 3)), jnp.zeros((1, SIZE, SIZE))
     params = jax.jit(NET.init)(key, *empty)["params"]
@@ -130,9 +135,8 @@ def train(steps: int, objects: int, seed: int, kept: Path) -> dict[str, Any]:
 
     losses: list[Array] = []
     done = 0
-    if kept.exists():
-        tree = (params, state, done)
-        params, state, done = from_bytes(tree, kept.read_bytes())
+    if earlier is not None:
+        params, state, done = from_state_dict((params, state, done), earlier)
     for index in range(done, steps):
         batch = draw(jax.random.fold_in(key, index), objects=objects, images=8)
         stage = first_stage if index < steps // 2 else last_stage
@@ -141,8 +145,27 @@ def train(steps: int, objects: int, seed: int, kept: Path) -> dict[str, Any]:
         if index % 50 == 49:
             mean = float(jnp.mean(jnp.stack(losses[-50:])))
             print(f"step {index + 1}/{steps}: loss {mean:.3f}", flush=True)
-            write_whole(kept, to_bytes((params, state, index + 1)))
+            write_state(kept, settings, (params, state, index + 1))
     return params
+
+
+def write_state(kept: Path, settings: dict[str, int], state: Any) -> None:
+    """Writes the state of training, with what it follows from."""
+    write_whole(kept, to_bytes({"settings": settings, "state": state}))
+
+
+def read_state(kept: Path, settings: dict[str, int]) -> Any:
+    """What was written, for `from_state_dict`; None if there is nothing."""
+    if not kept.exists():
+        return None
+    found = msgpack_restore(kept.read_bytes())
+    if found.get("settings") != settings:
+        raise InputError(
+            f"{kept}: expected training with {settings}, got one with "
+            f"{found.get('settings', 'unknown settings')}; give the same options, "
+            "another -o, or remove the file"
+        )
+    return found["state"]
 
 
 def held_out(params: Any, objects: int = 64) -> dict[str, float]:
@@ -161,7 +184,8 @@ def held_out(params: Any, objects: int = 64) -> dict[str, float]:
     return {name: float(np.mean([e[name] for e in errors])) for name in errors[0]}
 
 
-def main() -> None:
+@command
+def main(argv: Sequence[str] | None = None) -> None:
     """Parses the command line, trains, and writes the weights."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -170,7 +194,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1000, help="(1000)")
     parser.add_argument("--objects", type=int, default=8, help="per step (8)")
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     cache_compilations()
     kept = arguments.output.with_suffix(".part")
     params = train(arguments.steps, arguments.objects, arguments.seed, kept)
@@ -181,4 +205,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from flax.serialization import from_state_dict, to_bytes
 from flax.traverse_util import flatten_dict
 from reference_arrays import made_up, official_arrays
 from small_networks import SMALL, SMALL_OURS, lively_network, lively_weights
@@ -263,6 +264,26 @@ def test_setup_names_the_python_that_is_not_there(monkeypatch, tmp_path, capsys)
     assert not any(tmp_path.iterdir())
 
 
+def test_gcnet_goes_on_with_the_same_options_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(TOOLS)
+    tool = runpy.run_path(str(TOOLS / "train_gcnet.py"))
+    output, kept = tmp_path / "gcnet.safetensors", tmp_path / "gcnet.part"
+    settings = {"steps": 100, "objects": 8, "seed": 0}
+    tool["write_state"](kept, settings, ({"kernel": np.arange(3)}, 50))
+    read = tool["read_state"](kept, settings)
+    params, done = from_state_dict(({"kernel": np.zeros(3)}, 0), read)
+    assert params["kernel"].tolist() == [0, 1, 2] and done == 50
+    before = kept.read_bytes()
+    for other in (["--steps", "200"], ["--objects", "4"], ["--seed", "1"]):
+        assert tool["main"](["-o", str(output), "--steps", "100", *other]) == 2
+        error = capsys.readouterr().err
+        assert f"{kept}: expected training with" in error and error.count("\n") == 1
+        assert kept.read_bytes() == before and not output.exists()
+    kept.write_bytes(to_bytes((1, 2)))  # as it was written before
+    assert tool["main"](["-o", str(output)]) == 2
+    assert "got one with unknown settings" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
     from unips_jax.baselines.gcnet.pipeline import gcnet
@@ -271,10 +292,9 @@ def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(TOOLS)
     tool = runpy.run_path(str(TOOLS / "train_gcnet.py"))
     output = tmp_path / "gcnet.safetensors"
-    argv = ["train_gcnet.py", "-o", str(output), "--steps", "2", "--objects", "2"]
-    monkeypatch.setattr("sys.argv", argv)
-    monkeypatch.setitem(tool["main"].__globals__, "held_out", lambda params: {})
-    tool["main"]()
+    names = tool["main"].__wrapped__.__globals__
+    monkeypatch.setitem(names, "held_out", lambda params: {})
+    assert tool["main"](["-o", str(output), "--steps", "2", "--objects", "2"]) == 0
     y, x = np.mgrid[1:-1:32j, -1:1:32j]
     z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
     images = np.repeat(np.stack([z, z + 0.5 * x, z + 0.5 * y])[..., None], 3, -1)
