@@ -1,6 +1,6 @@
 """A yardstick for weights that is real: photographs, and borders as cameras see them.
 
-    python tools/real_sets.py --photographs ../shared --weights tiny runs/a/last
+    python tools/real_sets.py --weights tiny runs/a/last.safetensors
 
 Scenes from the distribution that trained a network say little of how it does on
 photographs: weights are chosen by these sets, on none of which is ever trained. A row
