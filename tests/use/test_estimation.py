@@ -125,10 +125,24 @@ def test_no_mask_is_the_whole_image(network):
 def test_padded_sets(network):
     images, mask = ellipse_photographs()
     plain = estimate_normals(network, images, mask)
-    padded = np.concatenate([images, np.full((2, 23, 31, 3), 5, np.float32)])
     valid = np.array([True, True, True, False, False])
-    again = estimate_normals(network, padded, mask, valid=valid)
-    np.testing.assert_allclose(again, plain, atol=1e-5)
+    for value in (5, np.nan, np.inf):  # as of memory that nobody wrote
+        rest = np.full((2, 23, 31, 3), value, np.float32)
+        padded = np.concatenate([images, rest])
+        again = estimate_normals(network, padded, mask, valid=valid)
+        np.testing.assert_allclose(again, plain, atol=1e-5)
+
+
+def test_padding_has_no_gradient(network):
+    images, mask = ellipse_photographs()
+    padded = np.concatenate([images, np.full((1, 23, 31, 3), np.nan, np.float32)])
+    valid = np.array([True, True, True, False])
+
+    def tilt(images):
+        return estimate_normals(network, images, mask, valid=valid)[..., 0].sum()
+
+    slopes = jax.grad(tilt)(jnp.asarray(padded))
+    assert np.isfinite(slopes).all() and (slopes[3] == 0).all()
 
 
 def test_jit_vmap_and_eager_agree(network):
@@ -229,8 +243,20 @@ def test_uniform_contexts_differ(network):
     ],
 )
 def test_bad_shapes(network, images, mask, message):
-    with pytest.raises(ValueError, match=message):
-        estimate_normals(network, images, mask)
+    for estimate in (estimate_normals, estimate_photographs):
+        with pytest.raises(ValueError, match=message):
+            estimate(network, images, mask)
+
+
+def test_photographs_take_masks_and_transfers_as_they_come(network):
+    images, mask = ellipse_photographs()
+    expected = estimate_photographs(network, images, mask)
+    found = estimate_photographs(network, images, mask.astype(np.uint8) * 255)
+    np.testing.assert_array_equal(found, expected)
+    whole = estimate_photographs(network, images, np.ones_like(mask))
+    np.testing.assert_array_equal(estimate_photographs(network, images), whole)
+    with pytest.raises(ValueError, match="transfer: expected one of"):
+        estimate_photographs(network, images, mask, transfer="sRGB")
 
 
 def test_every_number_but_zero_is_inside_the_mask(network):
@@ -254,6 +280,47 @@ def test_what_is_no_network_is_refused():
     images, mask = ellipse_photographs()
     with pytest.raises(TypeError, match="network: expected a UniversalNetwork.*dict"):
         estimate_normals({}, images, mask)
+    with pytest.raises(TypeError, match="network: expected a UniversalNetwork.*dict"):
+        estimate_photographs({}, images, mask)
+
+
+ELSEWHERE = """
+import sys
+import jax
+import numpy as np
+jax.config.update("jax_num_cpu_devices", 2)
+sys.path.insert(0, sys.argv[1])
+from jax.sharding import NamedSharding, PartitionSpec as P
+from plain_objects import ellipse_photographs
+from small_networks import SHALLOW, lively_network
+from unips_jax import estimate_photographs
+from unips_jax.estimation import programs
+
+network, (images, mask) = lively_network(SHALLOW), ellipse_photographs()
+expected = estimate_photographs(network, images, mask)
+second = jax.devices()[1]
+mesh = NamedSharding(jax.make_mesh((2,), ("n",)), P())
+with jax.default_device(second):
+    found = [estimate_photographs(network, images, mask)]
+for place in (second, mesh):
+    found.append(estimate_photographs(jax.device_put(network, place), images, mask))
+for normals in found:
+    np.testing.assert_allclose(normals, expected, atol=1e-6)
+flags, seen = programs._flags, []
+programs._flags = lambda: seen.append(flags()) or seen[-1]
+with jax.default_matmul_precision("highest"):
+    estimate_photographs(network, images, mask)
+assert seen and all("highest" in each for each in seen), seen
+"""
+
+
+def test_photographs_are_estimated_by_the_callers_settings():
+    """Its device, wherever the network lies, and its precision, in every thread."""
+    here = str(Path(__file__).parents[1])
+    run = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE, here], capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
 
 
 EXPLICIT = """

@@ -1,5 +1,7 @@
 """Programs kept between runs; how many compilations an estimate takes."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
@@ -120,13 +122,18 @@ def test_fast_is_nearly_the_same_with_the_mirrored_view_at_few_pixels(monkeypatc
     coarse = np.linspace(0, 1, 240, dtype=np.float32)
     images = 0.2 + images[:, :1, :1] * coarse[:, None, None] * coarse[None, :, None]
     views = []
-    decode = streaming._decode
+    find = streaming._decode.compiled
 
-    def counted(network, encoding, *rest):
-        views.append(len(encoding.contexts) * rest[1][0].size)
-        return decode(network, encoding, *rest)
+    def compiled(*example):
+        decode = find(*example)
 
-    monkeypatch.setattr(streaming, "_decode", counted)
+        def counted(network, encoding, *rest):
+            views.append(len(encoding.contexts) * rest[1][0].size)
+            return decode(network, encoding, *rest)
+
+        return counted
+
+    monkeypatch.setattr(streaming, "_decode", SimpleNamespace(compiled=compiled))
     whole = estimate_photographs(network, images, mask)
     all_pixels = sum(views)
     views.clear()
@@ -142,6 +149,7 @@ def test_errors_of_a_thread_are_raised(monkeypatch):
     def broken(*_):
         raise MemoryError("no memory for this chunk")
 
-    monkeypatch.setattr(streaming, "_decode", broken)
+    kept = SimpleNamespace(compiled=lambda *_: broken)
+    monkeypatch.setattr(streaming, "_decode", kept)
     with pytest.raises(MemoryError, match="this chunk"):
         estimate_photographs(lively_network(SHALLOW_OURS), *disc(37))

@@ -1,5 +1,6 @@
 """`relight`, and `unips relight`."""
 
+import functools
 import json
 from pathlib import Path
 
@@ -146,6 +147,15 @@ def test_derivatives_are_finite_and_true():
         slope = float(ends[0] - ends[1]) / 2
         expected = float((gradient * step).sum())
         assert slope == pytest.approx(expected, rel=0.02, abs=1e-5)
+
+
+@pytest.mark.parametrize("focal", [None, 30.0])
+def test_types_do_not_grow_with_wide_numbers(focal):
+    lights = DistantLights(np.float32([[0, 0, 1]]), np.ones((1, 3), np.float32))
+    with jax.enable_x64(True):
+        run = functools.partial(relight, focal=focal)
+        found = jax.eval_shape(run, NORMALS, WHITE, lights)
+    assert found.dtype == jnp.float32
 
 
 def test_vmap_is_a_loop():

@@ -1,5 +1,7 @@
 """Bilateral normal integration against surfaces whose depth is known exactly."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -102,11 +104,11 @@ def test_front_ball_does_not_bend_the_one_behind():
     assert errors[1] < errors[0] / 5, errors
 
 
-@pytest.mark.parametrize("principal_point", [None, (20.0, 55.0)])
+@pytest.mark.parametrize("principal_point", [None, np.array([20.0, 55.0])])
 def test_perspective_plane(principal_point):
     column, row = grid(72, 90)
     focal = 130.0
-    x0, y0 = principal_point or (44.5, 35.5)
+    x0, y0 = (44.5, 35.5) if principal_point is None else principal_point
     normal = unit(0.4, -0.3, 0.87)
     ray = np.stack([(column - x0) / focal, -(row - y0) / focal, -np.ones_like(row)], -1)
     truth = -1 / (ray @ normal)
@@ -151,6 +153,25 @@ def test_offset_and_scale_come_from_the_prior():
     found = integrate_image(normals, mask, prior=prior)
     assert np.abs(found.depth - truth - 500)[mask].max() < 0.1
     assert np.isfinite(found.depth[mask]).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.uint16])
+def test_priors_of_any_type(dtype):
+    """Of half floats the sum over an image is beyond them."""
+    normals, mask, truth, _ = hemisphere(40)
+    prior = np.where(mask, truth + 1000, 0).astype(dtype)
+    expected = integrate_normals(normals, mask, prior=prior.astype(np.float32))
+    found = integrate_normals(normals, mask, prior=prior)
+    np.testing.assert_array_equal(found, expected)
+    assert np.isfinite(found).all() and expected[mask].min() > 900
+
+
+def test_types_do_not_grow_with_wide_numbers():
+    normals, mask, _, _ = hemisphere(20)
+    with jax.enable_x64(True):
+        for focal in (None, 30.0):
+            run = functools.partial(integrate_normals, focal=focal)
+            assert jax.eval_shape(run, normals, mask).dtype == jnp.float32
 
 
 def test_prior_in_perspective_has_the_users_unit():

@@ -86,6 +86,11 @@ class NnxNetwork(nnx.Module):
         the weights file.
         """
         folder, network = Path(folder), self.network
+        if folder.resolve().name in SHIPPED:
+            raise InputError(
+                f"{folder}: expected another name than that of shipped weights, which "
+                "from_pretrained would read"
+            )
         make_folder(folder, "save_pretrained")
         kind = type(network.config).__name__
         text = {"library_name": "unips_jax", "kind": kind}

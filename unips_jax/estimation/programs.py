@@ -42,10 +42,29 @@ _SUM = 32
 _PACKAGE = Path(__file__).parents[1]
 
 
-def kept(
-    function: Callable[..., tuple[Any, ...]], *, rarely_run: bool = False
-) -> Callable[..., tuple[Any, ...]]:
-    """`jax.jit` of a function of pytrees and static keywords, kept between runs.
+class Kept:
+    """`jax.jit` of a function of pytrees and static keywords, kept between runs."""
+
+    def __init__(self, find: Callable[..., Any]) -> None:
+        self._find = find
+
+    def __call__(self, *arguments: Any, **static: Any) -> tuple[Any, ...]:
+        return self.compiled(*arguments, **static)(*arguments)
+
+    def compiled(self, *arguments: Any, **static: Any) -> Callable[..., Any]:
+        """The program for arguments of these shapes, by the calling thread's flags."""
+        leaves, tree = jax.tree.flatten(arguments)
+        shapes = tuple((np.shape(x), np.dtype(x.dtype)) for x in leaves)
+        program = self._find(tree, shapes, tuple(sorted(static.items())))
+
+        def run(*arguments: Any) -> tuple[Any, ...]:
+            return program(*jax.tree.leaves(arguments))
+
+        return run
+
+
+def kept(function: Callable[..., tuple[Any, ...]], *, rarely_run: bool = False) -> Kept:
+    """Keeps a function's programs.
 
     `rarely_run`: compiled in three quarters of the time, to a program that is no slower
     as long as products take most of it.
@@ -75,15 +94,11 @@ def kept(
         options: Any = {"xla_backend_optimization_level": 1} if less else None
         return traced.lower(*arrays).compile(options)
 
-    def run(*arguments: Any, **static: Any) -> tuple[Any, ...]:
-        leaves, tree = jax.tree.flatten(arguments)
-        shapes = tuple((np.shape(x), np.dtype(x.dtype)) for x in leaves)
+    def find(tree: Any, shapes: tuple[Any, ...], static: Any) -> Callable[..., Any]:
         with lock:  # threads wait for one compilation
-            facts = tuple(sorted(static.items())), _flags()
-            compiled = program(tree, shapes, *facts)
-        return compiled(*leaves)
+            return program(tree, shapes, static, _flags())
 
-    return run
+    return Kept(find)
 
 
 def _place(name: str, *facts: Any) -> Path | None:

@@ -70,22 +70,10 @@ def estimate_normals(
 
     Source: UniPS (Ikehata, CVPR 2022), Sec. 4.
     """
-    if not isinstance(network, UniversalNetwork):
-        raise TypeError(
-            "network: expected a UniversalNetwork, as load_weights gives, got "
-            f"{type(network).__name__}"
-        )
     images = jnp.asarray(images)
-    if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
-        raise ValueError(
-            f"images: expected [N, H, W, 3] with at least one image and pixel, got "
-            f"{images.shape}; grey images must be repeated over three channels"
-        )
+    check_images(network, images.shape)
     mask = jnp.ones(images.shape[1:3], bool) if mask is None else jnp.asarray(mask)
-    if mask.shape != images.shape[1:3]:
-        raise ValueError(
-            f"mask: expected the images' [H, W] = {images.shape[1:3]}, got {mask.shape}"
-        )
+    check_mask(mask.shape, images.shape)
     split = [axis for axis in jax.typeof(images).sharding.spec if axis is not None]
     if split:
         raise ValueError(
@@ -108,11 +96,33 @@ def estimate_normals(
     )
 
 
+def check_images(network: UniversalNetwork, shape: tuple[int, ...]) -> None:
+    """Raises `TypeError` unless it is a network, `ValueError` for a wrong shape."""
+    if not isinstance(network, UniversalNetwork):
+        raise TypeError(
+            "network: expected a UniversalNetwork, as load_weights gives, got "
+            f"{type(network).__name__}"
+        )
+    if len(shape) != 4 or shape[-1] != 3 or 0 in shape:
+        raise ValueError(
+            f"images: expected [N, H, W, 3] with at least one image and pixel, got "
+            f"{shape}; grey images must be repeated over three channels"
+        )
+
+
+def check_mask(shape: tuple[int, ...], images: tuple[int, ...]) -> None:
+    """Raises `ValueError` unless a mask has the size of images of a shape."""
+    if shape != images[1:3]:
+        raise ValueError(
+            f"mask: expected the images' [H, W] = {images[1:3]}, got {shape}"
+        )
+
+
 def _checked_lights(
     network: UniversalNetwork, images: Array, lights: ArrayLike
 ) -> Array:
     lights = jnp.asarray(lights)
-    check_lights(network.config, lights.shape, len(images))
+    check_lights(network.config, lights.shape, images.shape[0])
     return lights.astype(ops.wide_dtype(lights.dtype))
 
 
@@ -134,6 +144,9 @@ def _estimate(
     if valid is not None:  # without any image, all are taken, and nothing is given
         some = jnp.any(valid)
         valid = valid | ~some
+        # What does not count weighs 0, and 0 times NaN is NaN.
+        images = jnp.where(valid[:, None, None, None], images, 0)
+        lights = None if lights is None else jnp.where(valid[:, None], lights, 0)
     images = normalize_images(images, mask)
     views = make_views(images, mask, network.config, frame_kind, lights)
     encoding = encode(network, views, valid, **chunks.bounded(n))

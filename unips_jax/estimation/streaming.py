@@ -6,13 +6,15 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, get_args
 
 import jax
 import numpy as np
 from jax import Array
 
+from unips_jax.checks import require_choice
 from unips_jax.estimation.programs import kept
+from unips_jax.estimation.pure import check_images, check_mask
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.models import chunks
 from unips_jax.models.config import check_lights
@@ -49,7 +51,7 @@ class NormalsAndLights(NamedTuple):
 def estimate_photographs(
     network: UniversalNetwork,
     images: np.ndarray,
-    mask: np.ndarray,
+    mask: np.ndarray | None = None,
     *,
     transfer: Transfer = "linear",
     frame: FrameKind = "mask",
@@ -68,7 +70,7 @@ def estimate_photographs(
     Args:
         network: from `load_weights`.
         images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        mask: `[H, W]`, bool.
+        mask: `[H, W]`, above 0 on the object; None for all of the image.
         transfer: how values encode light; "srgb" is undone first.
         frame: see `estimate_normals`.
         lights: see `estimate_normals`.
@@ -79,6 +81,10 @@ def estimate_photographs(
 
     Returns:
         `[H, W, 3]`, float32: unit normals inside the mask, zero outside.
+
+    Raises:
+        TypeError: if the network is not one.
+        ValueError: if shapes do not fit each other, or transfer or frame is unknown.
     """
     found = estimate_with_lights(
         network,
@@ -97,7 +103,7 @@ def estimate_photographs(
 def estimate_with_lights(
     network: UniversalNetwork,
     images: np.ndarray,
-    mask: np.ndarray,
+    mask: np.ndarray | None = None,
     *,
     transfer: Transfer = "linear",
     frame: FrameKind = "mask",
@@ -108,6 +114,12 @@ def estimate_with_lights(
     preview: Preview | None = None,
 ) -> NormalsAndLights:
     """`estimate_photographs`, and the guessed lights; `preview` gets a coarse grid."""
+    images = np.asarray(images)
+    check_images(network, images.shape)
+    mask = np.ones(images.shape[1:3], bool) if mask is None else np.asarray(mask) > 0
+    check_mask(mask.shape, images.shape)
+    require_choice("transfer", transfer, get_args(Transfer))
+    network = jax.device_put(network, _device())
     if lights is not None:
         lights = np.asarray(lights)
         check_lights(network.config, lights.shape, len(images))
@@ -150,10 +162,16 @@ def _decode_pixels(
     normals = np.zeros((*mask.shape, 3), np.float32)
     size = chunks.pixels_at_a_time(encoding.contexts)
     done, total = 0, int(np.count_nonzero(mask))
+    if not total:
+        return normals
+    first = np.zeros(size, np.int32)
+    # Here, since settings that hold for a block are those of this thread alone.
+    example = values(first, first), (first, first)
+    decode_chunk = _decode.compiled(network, encoding, *example, valid)
 
     def decoded(place: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         y, x = (np.resize(p, size).astype(np.int32) for p in place)
-        (found,) = _decode(network, encoding, values(y, x), (y, x), valid)
+        (found,) = decode_chunk(network, encoding, values(y, x), (y, x), valid)
         return np.asarray(found)
 
     for (y, x), found in _side_by_side(decoded, _masked_pixels(mask, size)):
@@ -238,6 +256,14 @@ def _side_by_side(
         finally:
             for _, future in running:
                 future.cancel()
+
+
+def _device() -> jax.Device:
+    """Where arrays are put that nobody placed."""
+    chosen = getattr(jax.config, "jax_default_device", None)
+    if isinstance(chosen, jax.Device):
+        return chosen
+    return jax.local_devices(backend=chosen)[0]
 
 
 def padded_size(count: int) -> int:

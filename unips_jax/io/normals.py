@@ -9,6 +9,7 @@ the frame of its cameras, x right, y down, z away from the viewer; those of x-le
 x, the red channel, flipped; OpenGL's are as the arrays.
 """
 
+import os
 import stat
 from pathlib import Path
 from typing import Literal
@@ -38,7 +39,7 @@ _FULL = 65535
 
 
 def write_normals(
-    folder: Path,
+    folder: str | os.PathLike[str],
     normals: np.ndarray,
     *,
     exr: bool = False,
@@ -50,7 +51,7 @@ def write_normals(
     `normals` are `[H, W, 3]`, float32, unit length or 0; `normals.mat` is for MATLAB,
     key `Normal_est`; `normal_map` is the convention of the PNG and the EXR.
     """
-    turned = turn_normals(normals, normal_map)
+    folder, turned = Path(folder), turn_normals(normals, normal_map)
     write_image(folder / "normals.png", encode_normals(turned))
     with new_file(folder / "normals.npy") as file:
         np.save(file, normals)
@@ -82,9 +83,9 @@ def decode_normals(values: np.ndarray) -> np.ndarray:
     return normals
 
 
-def read_normals(path: Path) -> np.ndarray:
+def read_normals(path: str | os.PathLike[str]) -> np.ndarray:
     """Reads a map of 8 or 16 bits or floats: `[H, W, 3]`, float32, not normalised."""
-    return normals_of(read_image_file(path, vectors=True))
+    return normals_of(read_image_file(Path(path), vectors=True))
 
 
 def read_numbers(path: Path) -> np.ndarray:

@@ -16,6 +16,7 @@ Plain NumPy.
 import glob
 import json
 import math
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -103,7 +104,7 @@ def encode_linear(values: np.ndarray) -> np.ndarray:
 
 
 def write_folder(
-    folder: Path,
+    folder: str | os.PathLike[str],
     images: Iterable[np.ndarray],
     mask: np.ndarray,
     normals: np.ndarray,
@@ -127,7 +128,7 @@ def write_folder(
         name: of the images' files, by number.
     """
     earlier = "[0lL]*.png [0lL]*.tif baseColor.tif roughness.tif metal.tif".split()
-    with appearing_at_once(folder, record=META, ours=earlier) as place:
+    with appearing_at_once(Path(folder), record=META, ours=earlier) as place:
         _write_files(place, images, mask, normals, name)
         for title, values in (maps or {}).items():
             write_image(place / f"{title}.tif", encode_linear(values))
@@ -160,8 +161,9 @@ class TrainingObject(NamedTuple):
 class PSWildFolders:
     """All objects below a root; a random-access source for grain."""
 
-    def __init__(self, root: Path, *, min_images: int) -> None:
+    def __init__(self, root: str | os.PathLike[str], *, min_images: int) -> None:
         """Finds `X.data` folders in `root`, or in its folders of lightings."""
+        root = Path(root)
         below = glob.glob("**/*.data", root_dir=root, recursive=True)  # through links
         folders = sorted(path for name in below if (path := root / name).is_dir())
         if not folders:

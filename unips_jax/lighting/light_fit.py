@@ -229,7 +229,8 @@ def _fitted_directions(grey: np.ndarray, normal: np.ndarray) -> np.ndarray:
         for index, values in enumerate(grey):
             basis = (albedo * lit[index])[:, None] * normal
             gram = basis.T @ (weight[index][:, None] * basis)
-            gram += np.eye(3) * 1e-3 * np.trace(gram) / 3
+            ridge = max(1e-3 * np.trace(gram) / 3, np.finfo(float).tiny)
+            gram += np.eye(3) * ridge  # of a black photograph, too
             lights[index] = np.linalg.solve(gram, basis.T @ (weight[index] * values))
         shading = np.maximum(lights @ normal.T, 0)
         lit = (shading > 0).astype(float)

@@ -105,10 +105,10 @@ def _relight(
     height, width, _ = normals.shape
     normal = normals.reshape(-1, 3)
     there = jnp.any(normal != 0, -1)
-    normal = jnp.where(there[:, None], normal, jnp.array([0.0, 0.0, 1.0]))
+    normal = jnp.where(there[:, None], normal, jnp.float32([0, 0, 1]))
     view = _view(height, width, focal).reshape(-1, 3)
     n_v = jnp.maximum(jnp.sum(normal * view, -1), 0.02)
-    total = jnp.zeros((3, height * width))
+    total = jnp.zeros((3, height * width), jnp.float32)
     if lights is not None:
 
         def add(total: Array, light: tuple[Array, Array]) -> tuple[Array, None]:
@@ -163,9 +163,9 @@ def _unit(vectors: Array) -> Array:
 def _view(height: int, width: int, focal: ArrayLike | None) -> Array:
     """Unit vectors towards the viewer, `[H, W, 3]`."""
     if focal is None:
-        return jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), (height, width, 3))
-    x = ((width - 1) / 2 - jnp.arange(width)) / focal
-    y = (jnp.arange(height) - (height - 1) / 2) / focal
+        return jnp.broadcast_to(jnp.float32([0, 0, 1]), (height, width, 3))
+    x = ((width - 1) / 2 - jnp.arange(width, dtype=jnp.float32)) / focal
+    y = (jnp.arange(height, dtype=jnp.float32) - (height - 1) / 2) / focal
     x, y = jnp.meshgrid(x, y)
     return _unit(jnp.stack([x, y, jnp.ones_like(x)], -1))
 

@@ -64,7 +64,7 @@ def statements(
     """What normals `[H, W, 3]` state of the depth; harmless where there is none."""
     normals = normals.astype(jnp.float32)
     inside = mask & jnp.isfinite(normals).all(-1) & (jnp.abs(normals).max(-1) > 0)
-    normals = jnp.where(inside[..., None], normals, jnp.array([0.0, 0.0, 1.0]))
+    normals = jnp.where(inside[..., None], normals, jnp.float32([0, 0, 1]))
     normals = normals / jnp.linalg.norm(normals, axis=-1, keepdims=True)
     x, y, m = normals[..., 0], normals[..., 1], normals[..., 2]
     if focal is not None:

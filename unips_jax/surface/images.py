@@ -91,7 +91,8 @@ def integrate_image(
 
     box = mask_box(inside)
     height, width = mask.shape
-    column, row = principal_point or ((width - 1) / 2, (height - 1) / 2)
+    middle = ((width - 1) / 2, (height - 1) / 2)
+    column, row = middle if principal_point is None else principal_point
     camera = (focal, (column - box[1].start, row - box[0].start))
     stated, known, shift = _start(
         jnp.asarray(_padded(normals[box].astype(np.float32))),

@@ -127,6 +127,7 @@ def read_prior(
     if prior is None:
         nothing = jnp.zeros(inside.shape, jnp.float32)
         return Prior(nothing, nothing), jnp.zeros((), jnp.float32)
+    prior = jnp.asarray(prior, jnp.float32)
     known = inside & jnp.isfinite(prior)
     if focal is None:
         depth = jnp.where(known, prior, 0)

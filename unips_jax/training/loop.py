@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import json
 import math
+import os
 import threading
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,7 +50,7 @@ _NEW_PARTS = {"fine_dim", "light_tokens", "known_lights"}
 
 def train(
     config: Config,
-    workdir: Path,
+    workdir: str | os.PathLike[str],
     *,
     init_weights: str | None = None,
     sink: Sink | None = None,
@@ -71,6 +72,7 @@ def train(
     """
     mesh = make_mesh(config.mesh)
     check_input(config, mesh)
+    workdir = Path(workdir)
     make_folder(workdir, "--workdir")
     kind = mesh.devices.flat[0].device_kind
     say(f"training in {workdir}, {config.train.steps} steps, on {mesh.size} x {kind}")

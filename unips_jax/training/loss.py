@@ -23,6 +23,7 @@ from unips_jax.models.network import (
     encode,
     read_contexts,
 )
+from unips_jax.models.ops import wide_dtype
 from unips_jax.models.views import (
     Frame,
     FrameKind,
@@ -266,7 +267,7 @@ def _prepare(
     config: ModelConfig,
     options: LossOptions,
 ) -> _Prepared:
-    images = normalize_images(images, mask)
+    images = normalize_images(images.astype(wide_dtype(images.dtype)), mask)
     frame: Frame = square_frame(mask, options.frame)
     seen = encoder_images(images, mask, frame, config)
     draw = draw_blocks if options.pixel_blocks else draw_pixels
