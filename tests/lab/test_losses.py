@@ -43,6 +43,24 @@ def test_sum_of_chunks_is_the_sum(size):
         np.testing.assert_allclose(gradient, plain, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.float16])
+def test_images_may_have_any_type(dtype):
+    """Sums over them do not: 160 x 160 pixels are beyond half floats."""
+    rng = np.random.default_rng(0)
+    images = jnp.asarray(rng.integers(1, 200, (2, 160, 160, 3)).astype(dtype))
+    mask, key = jnp.ones((160, 160), bool), jax.random.key(0)
+    prepare = functools.partial(
+        losses._prepare,
+        config=ONE_STAGE,
+        options=losses.LossOptions(num_pixels=50, grid_loss=False),
+    )
+    normals = jnp.broadcast_to(jnp.float32([0, 0, 1]), (160, 160, 3))
+    found = prepare(images, mask, normals, key)
+    expected = prepare(images.astype(jnp.float32), mask, normals, key)
+    for a, b in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 def test_pieces_change_no_gradient(monkeypatch):
     rng = np.random.default_rng(0)
     images = jnp.asarray(rng.random((2, 3, 16, 16, 3)), jnp.float32)
