@@ -39,6 +39,7 @@ _FIRST = (
     "test_docs.py",
     "test_train_resume.py",
     "test_browser_page.py",
+    "test_browser_page_drops.py",
     "test_app_browser.py",
     "test_app_browser_bad_days.py",
     "test_estimation.py",

@@ -1,52 +1,42 @@
 """The page that estimates normals in a browser alone gives those of the package."""
 
 import base64
-import contextlib
-import functools
-import http.server
 import json
-import os
 import re
-import runpy
 import shutil
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from plain_objects import HARD, photographs
-from small_networks import SHALLOW_OURS, lively_network
 
 from unips_jax import estimate_photographs, load_weights, read_photographs
 from unips_jax.capture.masks import suggest_mask
 from unips_jax.io.images import read_image, write_image
 from unips_jax.io.normals import read_normals
 from unips_jax.metrics import angular_error_deg
-from unips_jax.weights import save_weights
 
 pytest.importorskip("selenium", reason="selenium is not installed")
-from browser import ABSENT, browser, messages  # noqa: E402
+from browser import browser, messages  # noqa: E402
+from browser_page import (  # noqa: E402
+    ALONE,
+    NEEDED,
+    STATUS,
+    build,
+    build_small,
+    drag,
+    mask_of,
+    opened,
+    overlap,
+    until,
+)
 from selenium.webdriver.support.ui import Select  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "unips_jax" / "assets" / "sample" / "obj000.data"
-pytestmark = [
-    pytest.mark.skipif(ABSENT, reason="chromium and its driver are not installed"),
-    pytest.mark.skipif(
-        shutil.which("npm") is None and "CI" not in os.environ,
-        reason="npm is not installed",
-    ),
-]
-TOOLS = ROOT / "tools"
-SOURCE = TOOLS / "browser"
-with pytest.MonkeyPatch.context() as patched:
-    patched.syspath_prepend(TOOLS)
-    build = runpy.run_path(str(TOOLS / "build_browser_page.py"))["main"]
-# Nothing but the test's own server is found.
-ALONE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
-PATIENCE_S = 1200  # several processes may share two cores
+SOURCE = ROOT / "tools" / "browser"
+pytestmark = NEEDED
 BYTES = """
 const bytes = unips.normalsPng();
 let text = "";
@@ -56,41 +46,16 @@ return btoa(text);
 """
 
 
-class Quiet(http.server.SimpleHTTPRequestHandler):
-    def log_message(self, *arguments):
-        pass
-
-
 @pytest.fixture(scope="module")
 def driver():
     with browser(arguments=(ALONE,)) as driver:
         yield driver
 
 
-@contextlib.contextmanager
-def opened(driver, page):
-    """Opens the page as any static host serves it; nothing kept from another test."""
-    handler = functools.partial(Quiet, directory=page)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        messages(driver)
-        driver.get(f"http://127.0.0.1:{server.server_port}/")  # a port, a storage
-        until(driver, "return crossOriginIsolated && !!window.unips")
-        yield
-        driver.get("about:blank")
-        server.shutdown()
-
-
-def overlap(a, b):
-    return (a & b).sum() / (a | b).sum()
-
-
-def until(driver, condition):
-    end = time.monotonic() + PATIENCE_S
-    while not driver.execute_script(condition):
-        status = driver.execute_script("return document.body.innerText")
-        assert time.monotonic() < end, f"{status}\n{messages(driver)}"
-        time.sleep(0.1)
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    page, weights = build_small(tmp_path_factory.mktemp("page"))
+    return page, load_weights(weights)
 
 
 def choose(driver, files):
@@ -149,18 +114,6 @@ def write_ring(folder):
         colors = np.stack([waves, waves**2, 1 - waves], -1) * 255
         write_image(folder / f"p{i}.png", colors.astype(np.uint8))
     write_image(folder / "mask.png", mask.astype(np.uint8) * 255)
-
-
-@pytest.fixture(scope="module")
-def small(tmp_path_factory):
-    """The page with a small network: its folder, and the parameters."""
-    work = tmp_path_factory.mktemp("page")
-    weights = work / "small.safetensors"
-    save_weights(weights, lively_network(SHALLOW_OURS), half=True)
-    if build([str(work / "out"), "--weights", str(weights)]) != 0:
-        assert "CI" not in os.environ
-        pytest.skip("npm cannot fetch the page's packages")
-    return work / "out", load_weights(weights)
 
 
 def test_page(small, driver, tmp_path):
@@ -224,35 +177,6 @@ def test_both_languages_say_all_of_it():
     assert not re.findall(r">[^<>{}]*[A-Za-z]{3}[^<>{}]*</(?:p|h1|button|span)>", page)
 
 
-def mask_of(driver, shape):
-    values = driver.execute_script("return [...unips.state.mask]")
-    return np.array(values, bool).reshape(shape)
-
-
-def drag(driver, tool, *places):
-    """Chooses a tool and draws with it, between places in pixels of the photograph."""
-    driver.execute_script(
-        """
-        const [tool, places] = arguments;
-        const button = document.querySelector(`[data-tool=${tool}]`);
-        if (button.getAttribute("aria-pressed") !== "true") button.click();
-        const canvas = document.getElementById("photograph");
-        const box = canvas.getBoundingClientRect();
-        const send = (kind, [x, y]) => canvas.dispatchEvent(new PointerEvent(kind, {
-          pointerId: 1, isPrimary: true, button: 0, bubbles: true, cancelable: true,
-          clientX: box.left + x * box.width / canvas.width,
-          clientY: box.top + y * box.height / canvas.height }));
-        canvas.setPointerCapture = () => {};
-        send("pointerdown", places[0]);
-        for (const place of places.slice(1)) send("pointermove", place);
-        send("pointerup", places.at(-1));
-        """,
-        tool,
-        [[int(x), int(y)] for x, y in places],
-    )
-
-
-STATUS = "document.getElementById('status').textContent"
 READY = (
     "document.getElementById('viewer').contentDocument?.body?.dataset.ready === 'true'"
 )

@@ -16,6 +16,10 @@ const BOX_MARGIN = 0.1; // of the box, around it
 const $ = (id) => document.getElementById(id);
 const state = { photographs: [], files: [], brightest: null, mask: null, result: null };
 let worker;
+let asked = 0;
+const waiting = new Map(); // who waits for answers of the worker, by the question's number
+let dropped = 0;
+let shown = 0; // which drop's photographs are shown
 
 // What the status shows: a function, so that it can change its language.
 let status = () => "";
@@ -32,13 +36,15 @@ const editor = new Editor($("photograph"), (...box) => findObject(box), () => {
 });
 
 // Reads files; what is wrong with them is reported, and what was there before stays.
-async function take(list, mask = null) {
+// `again`: they were kept, with `mask` if there was one. Gives whether they are shown now.
+async function take(list, mask = null, again = false) {
+  const turn = again ? 0 : ++dropped;
   const files = [...list].filter((file) => file.size && !file.name.startsWith("."))
     .filter((file) => /^image\//.test(file.type) || /\.hei[cf]$/i.test(file.name))
     .sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
-  const stem = (file) => file.name.replace(/\.[^.]*$/, "").toLowerCase();
-  const masks = files.filter((file) => stem(file) === "mask");
-  const others = files.filter((file) => stem(file) !== "mask");
+  const isMask = (file) => file.name.replace(/\.[^.]*$/, "").toLowerCase() === "mask";
+  const masks = files.filter(isMask);
+  const others = files.filter((file) => !isMask(file));
   try {
     const read = [];
     for (const file of others) {
@@ -47,17 +53,24 @@ async function take(list, mask = null) {
     }
     if (read.length) requireAlike(read);
     const photographs = read.length ? read : state.photographs;
-    if (!photographs.length) throw new Refusal("no_photographs");
+    if (!photographs.length || !files.length) throw new Refusal("no_photographs");
     const maskFile = masks.length ? await readFile(masks[0]) : null;
     if (maskFile) requireMaskFits(maskFile, photographs[0]);
-    if (read.length) [state.photographs, state.files] = [read, files];
-    else state.files = [...state.files, ...masks];
+    if (turn < shown) return false; // later ones were read sooner
+    if (read.length) {
+      shown = turn;
+      stop();
+      if (!again) forget(); // what is kept is of other photographs
+      Object.assign(state, { photographs, files, result: null });
+    } else state.files = [...state.files.filter((file) => !isMask(file)), ...masks];
     await show(maskFile, mask);
     const bytes = state.files.reduce((sum, file) => sum + file.size, 0);
-    if (bytes <= MOST_KEPT) await keep("files", state.files);
+    if (turn >= shown && bytes <= MOST_KEPT) await keep("files", state.files);
+    return turn >= shown;
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
     refuse(error);
+    return false;
   }
 }
 
@@ -65,6 +78,7 @@ async function show(maskFile, mask) {
   const { width, height } = state.photographs[0];
   state.brightest = brightestOfAll(state.photographs);
   state.mask = mask ?? (maskFile ? maskOf(maskFile) : new Uint8Array(width * height).fill(1));
+  if (maskFile) keep("mask", state.mask);
   translate();
   for (const id of ["drop", "result"]) $(id).hidden = true;
   $("normals").hidden = true;
@@ -72,7 +86,10 @@ async function show(maskFile, mask) {
   editor.show(picture(), state.mask, width, height);
   const count = () => t("count", { n: state.photographs.length, width, height });
   if (mask || maskFile) say(() => t("ready", { count: count() }));
-  else await findObject(null, count);
+  else {
+    $("estimate").disabled = true; // until the object is found
+    await findObject(null, count).finally(() => { $("estimate").disabled = false; });
+  }
 }
 
 // The brightest of all photographs as RGB of 0 to 255: [h, w, 3].
@@ -95,25 +112,39 @@ const transferOf = () => {
   return chosen === "auto" ? state.photographs[0].tag : chosen;
 };
 
-// One answer of the worker, by the name of its field; progress is reported meanwhile.
+// One answer of the worker to what is asked; progress is reported meanwhile.
 function ask(message, field, onOther = () => {}) {
-  worker ??= new Worker("./worker.js", { type: "module" });
+  if (!worker) {
+    worker = new Worker("./worker.js", { type: "module" });
+    worker.onmessage = ({ data }) => waiting.get(data.id)?.(data);
+    worker.onerror = (event) =>
+      waiting.forEach((answer) => answer({ error: event.message || "?" }));
+  }
+  const id = ++asked;
   return new Promise((resolve, reject) => {
-    worker.onmessage = ({ data }) => {
+    waiting.set(id, (data) => {
       if (data.error) reject(new Refusal("network", { error: data.error }));
       else if (data.stage) tell(`stage_${data.stage}`);
       else if (field in data && (data.step ?? 1) === 1) resolve(data);
       else onOther(data);
-    };
-    worker.onerror = (event) =>
-      reject(new Refusal("network", { error: event.message || "?" }));
-    worker.postMessage(message);
-  });
+    });
+    worker.postMessage({ ...message, id });
+  }).finally(() => waiting.delete(id));
+}
+
+// Ends what the worker does; nobody waits for it any more.
+function stop() {
+  worker?.terminate();
+  worker = undefined;
+  waiting.clear();
+  $("estimate").disabled = false;
+  busy(false);
 }
 
 // Looks for the object, in a box if there is one, and makes it the mask.
 async function findObject(box = null, count = null) {
   const [{ width, height }] = state.photographs;
+  const edited = state.mask;
   const step = Math.max(1, Math.ceil(Math.max(width, height) / SEEN_SIDE));
   const whole = new Uint8Array(width * height).fill(1);
   const small = linearImages(state.photographs, whole, transferOf(), step);
@@ -136,6 +167,7 @@ async function findObject(box = null, count = null) {
   const after = (key, values = {}) => () => (count ? `${count()}: ` : "") + t(key, values);
   try {
     const { found } = await ask({ kind: "mask", picture: seen, width: w, height: h }, "found");
+    if (edited !== state.mask) return; // other files were dropped meanwhile
     if (!found || (!box && isOnlyShine(small.images, n, found))) {
       say(after(box ? "none_kept" : "none"), !count);
       return;
@@ -203,7 +235,7 @@ async function estimate(known = null) {
   let from = null; // when pixels began, and the share that was done
   const options = { side: $("side").value, transfer: $("transfer").value };
   const right = known?.length === width * height * 3 ? known : null;
-  await keep("running", { options, normals: right });
+  keep("running", { options, normals: right });
   busy(true);
   try {
     const message = { kind: "normals", images, mask, width, height, n, known: right };
@@ -223,7 +255,7 @@ async function estimate(known = null) {
     const names = state.photographs.map(({ name }) => name);
     state.result = { normals, mask, images, width, height, names, seconds };
     tell("stage_surface");
-    await showResult();
+    if (!(await showResult())) return;
     // Files are kept: of these the photographs' light is read again.
     const { images: _, ...result } = state.result;
     keep("result", { ...result, options }).then(() => forget("running"));
@@ -236,13 +268,18 @@ async function estimate(known = null) {
   }
 }
 
+// Gives whether it is shown now: other photographs may be dropped meanwhile.
 async function showResult() {
+  const { result } = state;
   const template = await (await fetch("./viewer.html")).text();
-  state.page = await viewerPage(template, state.result, t("surface"));
+  const page = await viewerPage(template, result, t("surface"));
+  if (result !== state.result) return false;
+  state.page = page;
   // Here in the page's language, saved in the one of whoever opens it.
   $("viewer").srcdoc = state.page.replace('"language":null', `"language":"${current()}"`);
   $("result").hidden = false;
   $("result").scrollIntoView({ behavior: "smooth" });
+  return true;
 }
 
 function busy(now) {
@@ -308,10 +345,8 @@ $("estimate").onclick = () => {
   estimate();
 };
 $("cancel").onclick = () => {
-  worker?.terminate();
-  worker = undefined;
+  stop();
   forget("running");
-  busy(false);
   tell("stopped");
 };
 $("restart").onclick = async () => {
@@ -334,8 +369,7 @@ async function takeUp() {
   const files = await recall("files");
   if (!files?.length) return;
   const [mask, running, result] = [await recall("mask"), await recall("running"), await recall("result")];
-  await take(files, mask ?? null);
-  if (!state.photographs.length) return;
+  if (!(await take(files, mask ?? null, true))) return;
   if (running) {
     $("side").value = running.options.side;
     $("transfer").value = running.options.transfer;
@@ -347,8 +381,7 @@ async function takeUp() {
     state.result = { ...result, images };
     showNormals(result.normals, result.mask, result.width, result.height, 1);
     $("download").hidden = false;
-    await showResult();
-    tell("as_left");
+    if (await showResult()) tell("as_left");
   }
 }
 

@@ -25,8 +25,8 @@ async function session(part) {
   return { ort, threads, run: await sessions[part] };
 }
 
-async function findMask({ picture, width, height }) {
-  postMessage({ stage: "mask" });
+async function findMask({ picture, width, height }, answer) {
+  answer({ stage: "mask" });
   const { ort, run } = await session("mask");
   const answers = [];
   for (const values of networkInputs(picture, width, height)) {
@@ -34,7 +34,7 @@ async function findMask({ picture, width, height }) {
     const found = await run.run({ [run.inputNames[0]]: input });
     answers.push(found[run.outputNames[0]].data);
   }
-  postMessage({ found: maskFrom(...answers, picture, width, height) });
+  answer({ found: maskFrom(...answers, picture, width, height) });
 }
 
 // Masked pixels: every fourth row and column first, then every second, then the rest.
@@ -112,10 +112,10 @@ async function decodeAll(places, view, { images, n, width, size }, take) {
 }
 
 // `known` are normals of an earlier run that was cut off: 0 where there are none.
-async function estimate({ images, mask, n, width, height, known }) {
-  postMessage({ stage: "loading" });
+async function estimate({ images, mask, n, width, height, known }, answer) {
+  answer({ stage: "loading" });
   const encoder = await session("encoder");
-  postMessage({ stage: "encoding" });
+  answer({ stage: "encoding" });
   const began = performance.now();
   const encoded = await encoder.run.run({
     images: new encoder.ort.Tensor("float32", images, [n, height, width, 3]),
@@ -134,11 +134,11 @@ async function estimate({ images, mask, n, width, height, known }) {
     const now = performance.now();
     if (now - shown > 500) {
       shown = now;
-      postMessage({ done, total });
+      answer({ done, total });
     }
     if (now - kept > KEEP_EVERY) {
       kept = now;
-      postMessage({ partial: normals });
+      answer({ partial: normals });
     }
   };
   for (const [level, all] of passes(mask, width).entries()) {
@@ -161,7 +161,7 @@ async function estimate({ images, mask, n, width, height, known }) {
         count(part.length);
       });
     }
-    if (level < 2 && all.length) postMessage({ normals, step: level ? 2 : 4 });
+    if (level < 2 && all.length) answer({ normals, step: level ? 2 : 4 });
   }
   let mean = normals;
   if (grid.length) {
@@ -174,15 +174,16 @@ async function estimate({ images, mask, n, width, height, known }) {
     mean = blend(normals, mask, width, height, grid, second, step);
   }
   const seconds = (performance.now() - began) / 1000;
-  postMessage({ normals: mean, step: 1, seconds, threads: decoders.length });
+  answer({ normals: mean, step: 1, seconds, threads: decoders.length });
 }
 
 onmessage = async ({ data }) => {
+  const answer = (values) => postMessage({ ...values, id: data.id });
   try {
-    await (data.kind === "mask" ? findMask(data) : estimate(data));
+    await (data.kind === "mask" ? findMask(data, answer) : estimate(data, answer));
   } catch (error) {
     for (const part of Object.keys(sessions)) delete sessions[part];
-    for (const { worker } of decoders.splice(0)) worker.terminate();
-    postMessage({ error: String(error?.message ?? error) });
+    if (data.kind !== "mask") for (const { worker } of decoders.splice(0)) worker.terminate();
+    answer({ error: String(error?.message ?? error) });
   }
 };

@@ -1,0 +1,103 @@
+"""The page that runs in a browser alone: built, served, opened, its mask drawn."""
+
+import contextlib
+import functools
+import http.server
+import os
+import runpy
+import shutil
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import ABSENT, messages
+from small_networks import SHALLOW_OURS, lively_network
+
+from unips_jax.weights import save_weights
+
+NEEDED = [
+    pytest.mark.skipif(ABSENT, reason="chromium and its driver are not installed"),
+    pytest.mark.skipif(
+        shutil.which("npm") is None and "CI" not in os.environ,
+        reason="npm is not installed",
+    ),
+]
+TOOLS = Path(__file__).resolve().parents[1] / "tools"
+with pytest.MonkeyPatch.context() as patched:
+    patched.syspath_prepend(TOOLS)
+    build = runpy.run_path(str(TOOLS / "build_browser_page.py"))["main"]
+# Nothing but the test's own server is found.
+ALONE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+PATIENCE_S = 1200  # several processes may share two cores
+STATUS = "document.getElementById('status').textContent"
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *arguments):
+        pass
+
+
+def build_small(work):
+    """The page with a small network: its folder, and the file of its weights."""
+    weights = work / "small.safetensors"
+    save_weights(weights, lively_network(SHALLOW_OURS), half=True)
+    if build([str(work / "out"), "--weights", str(weights)]) != 0:
+        assert "CI" not in os.environ
+        pytest.skip("npm cannot fetch the page's packages")
+    return work / "out", weights
+
+
+@contextlib.contextmanager
+def opened(driver, page):
+    """Opens the page as any static host serves it; nothing kept from another test."""
+    handler = functools.partial(Quiet, directory=page)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        messages(driver)
+        driver.get(f"http://127.0.0.1:{server.server_port}/")  # a port, a storage
+        until(driver, "return crossOriginIsolated && !!window.unips")
+        yield
+        driver.get("about:blank")
+        server.shutdown()
+
+
+def until(driver, condition):
+    end = time.monotonic() + PATIENCE_S
+    while not driver.execute_script(condition):
+        status = driver.execute_script("return document.body.innerText")
+        assert time.monotonic() < end, f"{status}\n{messages(driver)}"
+        time.sleep(0.1)
+
+
+def overlap(a, b):
+    return (a & b).sum() / (a | b).sum()
+
+
+def mask_of(driver, shape):
+    values = driver.execute_script("return [...unips.state.mask]")
+    return np.array(values, bool).reshape(shape)
+
+
+def drag(driver, tool, *places):
+    """Chooses a tool and draws with it, between places in pixels of the photograph."""
+    driver.execute_script(
+        """
+        const [tool, places] = arguments;
+        const button = document.querySelector(`[data-tool=${tool}]`);
+        if (button.getAttribute("aria-pressed") !== "true") button.click();
+        const canvas = document.getElementById("photograph");
+        const box = canvas.getBoundingClientRect();
+        const send = (kind, [x, y]) => canvas.dispatchEvent(new PointerEvent(kind, {
+          pointerId: 1, isPrimary: true, button: 0, bubbles: true, cancelable: true,
+          clientX: box.left + x * box.width / canvas.width,
+          clientY: box.top + y * box.height / canvas.height }));
+        canvas.setPointerCapture = () => {};
+        send("pointerdown", places[0]);
+        for (const place of places.slice(1)) send("pointermove", place);
+        send("pointerup", places.at(-1));
+        """,
+        tool,
+        [[int(x), int(y)] for x, y in places],
+    )

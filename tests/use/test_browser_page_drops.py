@@ -1,0 +1,241 @@
+"""Files dropped on the browser's page over others; what is asked of it meanwhile."""
+
+import base64
+import mimetypes
+import time
+
+import numpy as np
+import pytest
+from plain_objects import photographs
+
+from unips_jax.io.images import write_image
+
+pytest.importorskip("selenium", reason="selenium is not installed")
+from browser import browser, messages  # noqa: E402
+from browser_page import (  # noqa: E402
+    ALONE,
+    NEEDED,
+    PATIENCE_S,
+    STATUS,
+    build_small,
+    drag,
+    mask_of,
+    opened,
+    overlap,
+    until,
+)
+
+pytestmark = NEEDED
+SIZE = 120, 240
+SETTLED = f"/found|stands out|is not the object/.test({STATUS})"
+DROP = """
+const transfer = new DataTransfer();
+for (const [name, type, text] of arguments[0]) {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  transfer.items.add(new File([bytes], name, { type }));
+}
+document.getElementById("status").textContent = "";
+document.dispatchEvent(
+  new DragEvent("drop", { dataTransfer: transfer, cancelable: true }));
+"""
+KEPT = """
+const [key, done] = arguments;
+import("./keep.js").then(async ({ recall }) => {
+  const value = await recall(key);
+  done(key === "files" ? value?.map((file) => file.name) : value && [...value]);
+});
+"""
+
+
+@pytest.fixture(scope="module")
+def driver():
+    with browser(arguments=(ALONE,)) as driver:
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    return build_small(tmp_path_factory.mktemp("page"))[0]
+
+
+@pytest.fixture
+def page(small, driver):
+    with opened(driver, small):
+        yield driver
+        assert not [text for text in messages(driver) if "Error" in text]
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory):
+    """Photographs of an object on the left, on the right, and of both: files, masks."""
+    images, mask = photographs(3, count=3, size=SIZE)
+    left, right = (np.roll(images, by, axis=2) for by in (-60, 60))
+    masks = [np.roll(mask, by, axis=1) for by in (-60, 60)]
+    folder = tmp_path_factory.mktemp("sets")
+    made = {}
+    for name, shown, truth in (
+        ("left", left, masks[0]),
+        ("right", right, masks[1]),
+        ("both", np.maximum(left, right), masks),
+    ):
+        paths = [folder / f"{name}{i}.png" for i in range(3)]
+        for path, image in zip(paths, shown, strict=True):
+            write_image(path, image)
+        made[name] = paths, truth
+    return made
+
+
+def drop(page, paths):
+    files = [
+        [
+            path.name,
+            mimetypes.guess_type(path)[0] or "",
+            base64.b64encode(path.read_bytes()).decode(),
+        ]
+        for path in paths
+    ]
+    page.execute_script(DROP, files)
+
+
+def drop_and_wait(page, paths):
+    drop(page, paths)
+    until(page, f"return {SETTLED}")
+
+
+def reload(page):
+    page.get(page.current_url)
+    until(page, f"return !!window.unips && {SETTLED}")
+
+
+def kept(page, key):
+    return page.execute_async_script(KEPT, key)
+
+
+def until_kept(page, paths):
+    end = time.monotonic() + PATIENCE_S
+    while kept(page, "files") != [path.name for path in paths]:
+        assert time.monotonic() < end, kept(page, "files")
+
+
+def compute(page, *, whole=True):
+    """Begins; the whole image takes longer."""
+    if whole:
+        page.find_element("id", "whole").click()
+    page.execute_script("document.getElementById('side').value = '0'")
+    page.find_element("id", "estimate").click()
+
+
+def test_photographs_dropped_over_others_leave_nothing_of_them(page, sets):
+    (first, _), (second, truth) = sets["left"], sets["right"]
+    drop_and_wait(page, first)
+    compute(page, whole=False)
+    until(page, f"return /^done/.test({STATUS})")
+    drop_and_wait(page, second)
+    assert page.execute_script("return unips.state.result") is None
+    until_kept(page, second)
+    reload(page)
+    assert overlap(mask_of(page, SIZE), truth) > 0.9
+    assert page.execute_script("return unips.state.result") is None
+    assert kept(page, "result") is None and kept(page, "running") is None
+
+
+def test_photographs_dropped_while_others_are_computed_end_that(page, sets, tmp_path):
+    (first, _), (second, truth) = sets["left"], sets["right"]
+    write_image(tmp_path / "mask.png", truth.astype(np.uint8) * 255)
+    drop_and_wait(page, first)
+    compute(page)
+    until(page, f"return /%|^done/.test({STATUS})")
+    drop_and_wait(page, [*second, tmp_path / "mask.png"])
+    assert page.find_element("id", "estimate").is_displayed()
+    until_kept(page, [tmp_path / "mask.png", *second])
+    assert kept(page, "running") is None
+    reload(page)
+    np.testing.assert_array_equal(mask_of(page, SIZE), truth)
+    assert page.execute_script("return unips.state.result") is None
+
+
+def test_photographs_dropped_while_an_object_is_looked_for(page, sets):
+    (first, _), (second, truth) = sets["left"], sets["right"]
+    drop(page, first)
+    until(page, f"return /looking|found/.test({STATUS})")
+    # Until it is known where it is, nothing is computed.
+    disabled = "document.getElementById('estimate').disabled"
+    assert page.execute_script(f"return {disabled} || {SETTLED}")
+    drop_and_wait(page, second)
+    assert overlap(mask_of(page, SIZE), truth) > 0.9
+    assert not page.execute_script(f"return {disabled}")
+
+
+def test_a_mask_that_is_dropped_stays(page, sets, tmp_path):
+    mask = np.zeros(SIZE, np.uint8)
+    mask[20:70, 30:90] = 255
+    write_image(tmp_path / "mask.png", mask)
+    drop_and_wait(page, sets["left"][0])
+    for _ in range(2):  # also over itself
+        drop_and_wait(page, [tmp_path / "mask.png"])
+    until_kept(page, [*sets["left"][0], tmp_path / "mask.png"])
+    np.testing.assert_array_equal(mask_of(page, SIZE), mask > 0)
+    reload(page)
+    np.testing.assert_array_equal(mask_of(page, SIZE), mask > 0)
+
+
+def test_other_files_leave_the_mask(page, sets, tmp_path):
+    drop_and_wait(page, sets["left"][0])
+    drag(page, "paint", (200, 10), (230, 10))
+    painted = mask_of(page, SIZE)
+    for name in ("notes.txt", "IMG_1.CR3"):
+        (tmp_path / name).write_bytes(b"no photograph")
+        drop(page, [tmp_path / name])
+        until(page, f"return /expected photographs/.test({STATUS})")
+        np.testing.assert_array_equal(mask_of(page, SIZE), painted)
+
+
+FIND = """
+new MutationObserver((_, observer) => {
+  if (!document.getElementById("status").textContent.includes("%")) return;
+  observer.disconnect();
+  document.getElementById("find").click();
+}).observe(document.getElementById("status"), { childList: true });
+"""
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_an_object_looked_for_meanwhile_leaves_the_run(page, small, sets, found):
+    drop_and_wait(page, sets["both"][0])
+    network = small / "network" / "mask.onnx"
+    if not found:  # the network is fetched anew, in vain
+        until_kept(page, sets["both"][0])
+        reload(page)
+        network.rename(network.with_suffix(".away"))
+    try:
+        page.execute_script(FIND)
+        compute(page)
+        ended = "!document.getElementById('estimate').hidden"
+        until(page, f"return !!unips.state.result && {ended}")
+        if found:
+            until(page, "return unips.state.mask.includes(0)")
+    finally:
+        if not found:
+            network.with_suffix(".away").rename(network)
+            messages(page)
+    squares, pixels = page.execute_script(
+        "const { normals, mask } = unips.state.result;"
+        "const sum = (values) => values.reduce((a, b) => a + b, 0);"
+        "return [sum(normals.map((n) => n * n)), sum(mask)]"
+    )
+    assert squares == pytest.approx(pixels, rel=1e-3) and pixels > 0
+
+
+def test_of_two_boxes_the_second_gives_the_mask(page, sets):
+    paths, (left, right) = sets["both"]
+    drop_and_wait(page, paths)
+    page.execute_script("document.getElementById('status').textContent = ''")
+    for truth in (left, right):
+        rows, columns = (np.flatnonzero(truth.any(axis=axis)) for axis in (1, 0))
+        start = columns[0] - 4, rows[0] - 4
+        drag(page, "box", start, (columns[-1] + 5, rows[-1] + 5))
+    until(
+        page,
+        f"return {SETTLED} && !unips.state.mask.some((v, i) => v && i % 240 < 115)",
+    )
+    assert overlap(mask_of(page, SIZE), right) > 0.9
