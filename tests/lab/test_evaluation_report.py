@@ -226,6 +226,18 @@ def test_ablations_are_collapsed():
     assert "max-pooling" not in html.replace(details, "")
 
 
+def test_objects_without_estimates_are_not_compared():
+    exhibits = [
+        Exhibit("ball", "", URI, URI, [("flat", URI, URI, "a line")]),
+        Exhibit("cow", "", URI, URI, []),
+    ]
+    results = results_of(result_of("ball", "flat"), result_of("cow", "flat"))
+    html = report(HEADER, results, summary.tables(results), exhibits).decode()
+    pictures = re.search('id="pictures">(.*?)</script>', html, re.S).group(1)
+    assert [picture["name"] for picture in json.loads(pictures)] == ["ball"]
+    assert len(re.findall('class="sheet"', html)) == 2
+
+
 def test_unsupported_says_why():
     results = results_of(
         result_of("ball", "flat"),

@@ -91,7 +91,7 @@ def report(
             ],
         }
         for exhibit in exhibits
-        if exhibit.truth
+        if exhibit.truth and exhibit.estimates
     ]
     template = environment(html=True).get_template("report.html.j2")
     text = template.render(

@@ -86,7 +86,7 @@ function showMethods() {
   const { estimates } = pictures[byId("object").value];
   byId("method").replaceChildren(...estimates.map((e, i) => option(e.label, i)));
   byId("method").value = Math.max(0, estimates.findIndex((e) => e.label === wanted));
-  if (estimates.length) showPair();
+  showPair();
 }
 
 if (byId("compare")) {
