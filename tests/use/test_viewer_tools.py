@@ -214,6 +214,44 @@ def value_of(page, name):
     return element(page, name).get_attribute("value")
 
 
+def test_a_view_of_a_photograph_that_is_no_more_shows_the_lit_surface(page, folder):
+    for side in ("left", "right"):
+        choose(page, side, "photograph-1")
+    press(page, "#add-view")
+    press(page, "#save-page")
+    path = saved(folder, "hemisphere.html")
+    write_view(path, known_results.result(photographs=()))
+    page.get(path.as_uri())
+    opened(page)
+    choose(page, "left", "normals")
+    press(page, "#views-list button")
+    drawn(page)
+    assert value_of(page, "left") == "lit"
+    # Of two there is one left: nothing next to it.
+    chosen = "return document.getElementById('right').selectedIndex"
+    assert page.execute_script(chosen) == 0
+    assert not element(page, "divider").is_displayed()
+    path.unlink()
+
+
+def test_a_long_note_is_cut_between_letters(page, folder):
+    press(page, "[data-tool=note]")
+    point(page, 0, 0).click().perform()
+    # Each has two units of UTF-16: one of these texts would be cut within one.
+    for text in ("\N{GRINNING FACE}" * 50, "x" + "\N{GRINNING FACE}" * 50):
+        page.execute_script(
+            "const field = document.querySelector('#notes-list input');"
+            "field.value = arguments[0]; field.dispatchEvent(new Event('input'))",
+            text,
+        )
+        drawn(page)
+        assert re.search(
+            "\N{GRINNING FACE}\N{HORIZONTAL ELLIPSIS}$", overlay(page), re.M
+        )
+        press(page, "#save-picture")
+        saved(folder, "hemisphere.png").unlink()
+
+
 def test_a_picture_is_saved_as_it_is_seen(page, folder):
     choose(page, "left", "normals")
     press(page, "#save-picture")

@@ -249,12 +249,14 @@ function viewStates(stage, light, page) {
     page.mode(state.mode === "surface" && data.depth ? "surface" : "picture");
     page.stopTurning();
     for (const name of fields) byId(name).value = state[name];
-    if (!byId("left").value) byId("left").value = "lit"; // a layer that is no more
+    byId("left").value ||= "lit"; // a layer that is no more
+    byId("right").value ||= "";
+    const left = byId("left").value;
     byId("colored").checked = state.colored;
     for (const name of ["left", "environment", "gloss", "detail", "split"]) {
       byId(name).dispatchEvent(new Event(name === "left" ? "change" : "input"));
     }
-    byId("left").value = state.left; // the environment's field may have changed it
+    byId("left").value = left; // the environment's field may have changed it
     byId("left").dispatchEvent(new Event("change"));
     [light.azimuth, light.elevation] = state.light;
     light.apply();

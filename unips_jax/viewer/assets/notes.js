@@ -93,7 +93,8 @@ class Notes {
       const left = x > this.stage.size[0] / 2; // where there is more room
       const room = (left ? x : this.stage.size[0] - x) - 40; // a letter takes some 8
       const most = Math.min(MOST_LETTERS, Math.max(3, Math.floor(room / 8)));
-      const shown = text.length > most ? `${text.slice(0, most - 1)}…` : text;
+      const letters = [...text]; // not units of UTF-16, of which an emoji has two
+      const shown = letters.length > most ? `${letters.slice(0, most - 1).join("")}…` : text;
       const pin = `M${x} ${y}L${x - 6} ${y - 14}A7 7 0 1 1 ${x + 6} ${y - 14}Z`;
       const words = label(x + (left ? -12 : 12), y - 12, `${index + 1}  ${shown}`);
       if (left) words.setAttribute("text-anchor", "end");
