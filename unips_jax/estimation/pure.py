@@ -17,6 +17,8 @@ from unips_jax.models import chunks, ops
 from unips_jax.models.config import check_lights
 from unips_jax.models.network import (
     UniversalNetwork,
+    check_images,
+    check_mask,
     decode,
     encode,
     with_uniform_contexts,
@@ -94,28 +96,6 @@ def estimate_normals(
         frame_kind=frame,
         uniform_contexts=uniform_contexts,
     )
-
-
-def check_images(network: UniversalNetwork, shape: tuple[int, ...]) -> None:
-    """Raises `TypeError` unless it is a network, `ValueError` for a wrong shape."""
-    if not isinstance(network, UniversalNetwork):
-        raise TypeError(
-            "network: expected a UniversalNetwork, as load_weights gives, got "
-            f"{type(network).__name__}"
-        )
-    if len(shape) != 4 or shape[-1] != 3 or 0 in shape:
-        raise ValueError(
-            f"images: expected [N, H, W, 3] with at least one image and pixel, got "
-            f"{shape}; grey images must be repeated over three channels"
-        )
-
-
-def check_mask(shape: tuple[int, ...], images: tuple[int, ...]) -> None:
-    """Raises `ValueError` unless a mask has the size of images of a shape."""
-    if shape != images[1:3]:
-        raise ValueError(
-            f"mask: expected the images' [H, W] = {images[1:3]}, got {shape}"
-        )
 
 
 def _checked_lights(

@@ -14,13 +14,14 @@ from jax import Array
 
 from unips_jax.checks import require_choice
 from unips_jax.estimation.programs import kept
-from unips_jax.estimation.pure import check_images, check_mask
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.models import chunks
 from unips_jax.models.config import check_lights
 from unips_jax.models.network import (
     Encoding,
     UniversalNetwork,
+    check_images,
+    check_mask,
     decode,
     encode,
     guessed_lights,
