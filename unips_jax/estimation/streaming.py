@@ -71,7 +71,7 @@ def estimate_photographs(
     Args:
         network: from `load_weights`.
         images: `[N, H, W, 3]`, uint8, uint16 or float32.
-        mask: `[H, W]`, above 0 on the object; None for all of the image.
+        mask: `[H, W]`, not 0 on the object; None for all of the image.
         transfer: how values encode light; "srgb" is undone first.
         frame: see `estimate_normals`.
         lights: see `estimate_normals`.
@@ -117,7 +117,8 @@ def estimate_with_lights(
     """`estimate_photographs`, and the guessed lights; `preview` gets a coarse grid."""
     images = np.asarray(images)
     check_images(network, images.shape)
-    mask = np.ones(images.shape[1:3], bool) if mask is None else np.asarray(mask) > 0
+    mask = np.ones(images.shape[1:3]) if mask is None else np.asarray(mask)
+    mask = mask.astype(bool)
     check_mask(mask.shape, images.shape)
     require_choice("transfer", transfer, get_args(Transfer))
     network = jax.device_put(network, _device())
