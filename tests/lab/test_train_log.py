@@ -31,7 +31,7 @@ def test_tensorboard_drops_the_steps_that_come_again(tmp_path, monkeypatch):
 
 
 def test_what_a_run_tells(tmp_path, capsys, monkeypatch):
-    """The pace leaves compilation out; the first step is told, but not recorded."""
+    """The pace leaves compilation out; the first step is shown, but not recorded."""
     seconds = [0.0]
     monkeypatch.setattr(log_module.time, "monotonic", lambda: seconds[0])
     log = TrainLog(
