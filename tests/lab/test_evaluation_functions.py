@@ -70,14 +70,23 @@ def test_what_a_function_returns_is_stored_as_unit_vectors(module, objects, tmp_
     assert errors_of(tmp_path / "work")["long"] < 0.1
 
 
-def test_a_function_that_returns_another_shape_is_named(
-    module, objects, tmp_path, capsys
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        ("observed.mask", "expected normals of shape (20, 20, 3), got (20, 20)"),
+        ("{'normals': 1}", "expected normals, an array of numbers, got dict"),
+        ("[[1, 2], [3]]", "expected normals, an array of numbers, got list"),
+        ("None", "expected normals of shape (20, 20, 3), got ()"),
+    ],
+)
+def test_a_function_that_returns_something_else_is_named(
+    module, objects, tmp_path, capsys, returned, message
 ):
-    module.write_text("def flat():\n    return lambda observed: observed.mask\n")
+    module.write_text(f"def flat():\n    return lambda observed: {returned}\n")
     assert run(objects, tmp_path / "work", "-m", "python:my_methods:flat") == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "'flat': expected normals of shape (20, 20, 3), got (20, 20)" in error
+    assert f"'flat': {message}" in error
 
 
 def test_a_change_anywhere_in_a_package_is_seen(tmp_path):

@@ -305,6 +305,12 @@ def test_estimate_takes_the_whole_image_if_told(folder, tmp_path, calls, capsys)
     assert run(folder, "-o", tmp_path / "out", "--mask", "none") == 0
     assert calls[2]["mask"].all()
     assert "mask.png (by --mask none)" in capsys.readouterr().out
+    cv2.imwrite(str(folder / "other.mask.png"), np.full(truth.shape, 255, np.uint8))
+    assert run(folder, "-o", tmp_path / "out", "--mask", "auto") == 2
+    assert "expected one mask, got mask.png, other.mask.png" in capsys.readouterr().err
+    assert run(folder, "-o", tmp_path / "two", "--mask", "none") == 0
+    assert calls.pop()["mask"].all()
+    (folder / "other.mask.png").unlink()
     assert run(folder, "-o", tmp_path / "o", "--mask", folder / "mask.png") == 0
     np.testing.assert_array_equal(calls[3]["mask"], truth)
 

@@ -130,6 +130,15 @@ def test_patterns_overrule_names(tmp_path):
         select(tmp_path, include=["*.exr"])
 
 
+def test_numbers_are_in_order(tmp_path):
+    names = [f"IMG_{number}.jpg" for number in (1, 2, 9, 10, 11, 100)]
+    touch(tmp_path, *names)
+    assert select(tmp_path).names == tuple(names)
+    odd = ["10\u00b2.jpg", "a.jpg", "b01.jpg", "b1.jpg", "B2.jpg", "\u0663.jpg"]
+    touch(tmp_path / "odd", *odd)
+    assert select(tmp_path / "odd").names == tuple(odd)
+
+
 def test_given_mask_is_no_photograph(tmp_path):
     touch(tmp_path, "a.png", "shape.png", "mask.png")
     selection = select(tmp_path, mask_file=tmp_path / "shape.png")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from unips_jax import integrate_image, integrate_normals
-from unips_jax.surface.islands import label_islands
+from unips_jax.surface.islands import island_means, label_islands
 
 
 def grid(height, width):
@@ -245,6 +245,28 @@ def test_labels_agree_with_scipy():
     expected, count = scipy.ndimage.label(mask)
     pairs = set(zip(labels[mask].tolist(), expected[mask].tolist(), strict=True))
     assert len(pairs) == count == len({first for first, _ in pairs})
+
+
+def test_means_of_islands():
+    rng = np.random.default_rng(2)
+    labels = rng.integers(0, 4, (30, 40))
+    values, weights = rng.random((2, 30, 40)).astype(np.float32)
+    weights[labels == 3] = 0
+    means, sums = island_means(*map(jnp.asarray, (values, weights, labels)))
+    for island in range(4):
+        here = labels == island
+        mean = np.average(values[here], weights=weights[here]) if island < 3 else 0
+        np.testing.assert_allclose(means[here], mean, rtol=1e-5)
+        np.testing.assert_allclose(sums[here], weights[here].sum(), rtol=1e-5)
+
+
+def test_mean_of_an_island_of_many_pixels():
+    """Added one by one in float32, its mean was 0.04 % off; with twice as many, 1 %."""
+    depth = np.add.outer(np.arange(1500), np.arange(4000)).astype(np.float32)
+    labels = jnp.zeros(depth.shape, jnp.int32)
+    mean, count = island_means(jnp.asarray(depth), jnp.ones(depth.shape), labels)
+    np.testing.assert_allclose(mean[0, 0], (1499 + 3999) / 2, rtol=1e-5)
+    assert count[0, 0] == depth.size
 
 
 def small_surface(seed):

@@ -22,6 +22,7 @@ from typing import Any
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
 from unips_jax.io.door import clear_parts, write_whole
+from unips_jax.io.naming import natural_key
 from unips_jax.io.results import appearing_at_once, link_or_copy
 
 _FILE = "object.json"
@@ -90,7 +91,7 @@ class Object:
     def of_state(self, state: str) -> list[Photograph]:
         """The files of a state, in the order of their names."""
         chosen = [photo for photo in self.photographs if photo.state == state]
-        return sorted(chosen, key=lambda photo: photo.file)
+        return sorted(chosen, key=lambda photo: natural_key(photo.file))
 
     def named(self, file: str) -> Photograph | None:
         """The file of this name."""

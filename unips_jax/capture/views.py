@@ -5,6 +5,7 @@ from pathlib import Path
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import MAX_PIXELS, image_header, read_bytes
+from unips_jax.io.naming import natural_key
 
 
 def views_by_time(
@@ -24,7 +25,7 @@ def views_by_time(
         )
     views: list[list[Path]] = []
     last = -float("inf")
-    for file in sorted(files, key=lambda file: (times[file], file.name)):
+    for file in sorted(files, key=lambda file: (times[file], natural_key(file.name))):
         if times[file] - last > pause:
             views.append([])
         views[-1].append(file)

@@ -94,10 +94,9 @@ def _check(folder: Path, options: Options, source: Path | None = None) -> Report
         mask_file=options.mask if isinstance(options.mask, Path) else None,
         include=options.include,
         exclude=options.exclude,
+        masks=options.mask != "none",
     )
     selection = dataclasses.replace(selection, source=source)
-    if options.mask == "none":
-        selection = dataclasses.replace(selection, mask_file=None)
     return check_photographs(
         selection,
         transfer=None if options.transfer == "auto" else options.transfer,

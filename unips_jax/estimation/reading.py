@@ -37,6 +37,7 @@ def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
         mask_file=options.mask if isinstance(options.mask, Path) else None,
         include=options.include,
         exclude=options.exclude,
+        masks=options.mask != "none",
     )
     left_out = dict(selection.left_out)
     if options.dark is not None:
@@ -46,9 +47,6 @@ def chosen_photographs(folder: Path, options: FolderOptions) -> Selection:
             raise InputError(f"{folder}: expected photographs, got none but {dark}")
         left_out["by --dark"] = [dark.name]
         selection = dataclasses.replace(selection, files=kept, left_out=left_out)
-    if options.mask == "none" and selection.mask_file is not None:
-        left_out["by --mask none"] = [selection.mask_file.name]
-        selection = dataclasses.replace(selection, mask_file=None, left_out=left_out)
     if options.max_images is not None:
         return drawn(selection, options.max_images, options.seed)
     return selection

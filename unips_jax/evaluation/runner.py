@@ -154,7 +154,15 @@ def estimate(variant: Variant, case: Case) -> Estimated:
         raise Unsupported("sign=oracle: needs the true normals, which are withheld")
     found = variant.run(case.observed)
     estimated = found if isinstance(found, Estimated) else Estimated(found, {})
-    normals = np.asarray(estimated.normals, np.float32)
+    try:
+        normals = np.asarray(estimated.normals, np.float32)
+    except (TypeError, ValueError):
+        if not variant.foreign:
+            raise
+        raise InputError(
+            f"method {variant.label!r}: expected normals, an array of numbers, got "
+            f"{type(estimated.normals).__name__}"
+        ) from None
     mask = case.observed.mask
     if normals.shape != (*mask.shape, 3):
         kind = InputError if variant.foreign else ValueError  # which is a bug of ours

@@ -1,6 +1,7 @@
-"""What suffixes show of a folder's files."""
+"""What names and suffixes show of a folder's files."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 RAW_SUFFIXES = frozenset(
@@ -19,6 +20,17 @@ _BETTER = (  # of a photograph in two formats; a camera's raw file is the best
     (".tif", ".tiff"),
     (".exr",),
 )
+
+
+def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
+    """Sorts `2.png` before `10.png`, as people and file managers do."""
+    parts = re.split(r"([0-9]+)", name.lower())
+    return tuple(int(p) if i % 2 else p for i, p in enumerate(parts)), name
+
+
+def in_order(folder: Path) -> list[Path]:
+    """What is in a folder, by its names' natural order."""
+    return sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
 
 
 def each_once(files: list[Path], left_out: dict[str, list[str]]) -> list[Path]:

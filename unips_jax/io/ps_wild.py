@@ -28,6 +28,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
 from unips_jax.io.door import write_json
 from unips_jax.io.images import read_image, write_exr, write_image
+from unips_jax.io.naming import in_order
 from unips_jax.io.normals import encode_normals, has_unit_length, read_normals
 from unips_jax.io.results import appearing_at_once
 from unips_jax.io.selection import is_photograph
@@ -37,10 +38,10 @@ FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
 
 
 def photographs_of(folder: Path, prefixes: str) -> list[Path]:
-    """An object's photographs, sorted by name, which begins with one of the letters."""
+    """An object's photographs: names that begin with one of the letters, in order."""
     return [
         path
-        for path in sorted(folder.iterdir())
+        for path in in_order(folder)
         if path.name[0].lower() in prefixes.lower() and is_photograph(path)
     ]
 

@@ -5,8 +5,9 @@ elsewhere every image file. Not a normal, depth or material map, a mask, ground 
 this package's own output, by their names (`is_map`), and never hidden files. Names
 decide only between files: if they leave none, a numbered series with such a word in its
 name (`metal_bowl_0.png`, ...) is taken. Patterns of the user's overrule names. An RTI's
-list of lights (.lp) names the photographs; one in two formats counts once. Files are
-sorted by name; whatever is left out is listed with its reason.
+list of lights (.lp) names the photographs; one in two formats counts once. Files are in
+the natural order of their names (2 before 10); whatever is left out is listed with its
+reason.
 """
 
 import dataclasses
@@ -20,7 +21,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.light_list import read_light_list
-from unips_jax.io.naming import RAW_SUFFIXES, VIDEO_SUFFIXES, each_once
+from unips_jax.io.naming import RAW_SUFFIXES, VIDEO_SUFFIXES, each_once, in_order
 
 SUFFIXES = RAW_SUFFIXES | frozenset(
     ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split()
@@ -65,7 +66,7 @@ def is_photograph(path: Path) -> bool:
 class Selection:
     """Which files of a folder are photographs.
 
-    `files`, at least one, are sorted by name; `left_out` holds for each reason the
+    `files`, at least one, are in order; `left_out` holds for each reason the
     names left out for it; `source` is the file that the photographs lie in, where the
     folder is temporary.
     """
@@ -93,11 +94,13 @@ def select(
     mask_file: Path | None = None,
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
+    masks: bool = True,
 ) -> Selection:
     """Finds the photographs and the mask of a folder, without reading them.
 
     Images that match `include`, such as `img_*.png`, are the photographs, whatever they
-    are called; `exclude` leaves out the folder's own mask too.
+    are called; `exclude` leaves out the folder's own mask too. Without `masks` all of
+    its own are left out.
     """
     if not folder.is_dir():
         what = "a file" if folder.exists() else "nothing of this name"
@@ -106,14 +109,19 @@ def select(
             f"{folder}: expected a folder of photographs, got {what}{hint}"
         )
     try:
-        entries = [e for e in sorted(folder.iterdir()) if not e.name.startswith(".")]
+        entries = [e for e in in_order(folder) if not e.name.startswith(".")]
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
-    if mask_file is None:
-        mask_file = _own_mask(folder, [e for e in entries if not _fits(e, exclude)])
+    own = [e for e in entries if _is_mask(e) and not _fits(e, exclude)]
+    if not masks:
+        entries = [e for e in entries if e not in own]
+    elif mask_file is None:
+        mask_file = _only_mask(folder, own)
     if mask_file and not mask_file.is_file():
         raise InputError(f"{mask_file}: expected a mask's image file, got no such file")
     images, left_out = _images(entries, mask_file, include, exclude)
+    if own and not masks:
+        left_out["by --mask none"] = [file.name for file in own]
     files = images if include else _by_name(folder, entries, images, left_out)
     files = each_once(files, left_out)
     if not files:
@@ -147,13 +155,12 @@ def folder_name(folder: Path) -> str:
     return Path(name).name.removesuffix(".data")
 
 
-def _own_mask(folder: Path, entries: list[Path]) -> Path | None:
-    masks = [
-        e
-        for e in entries
-        if re.fullmatch(r"(.*\.)?mask", e.stem, re.IGNORECASE)
-        and e.suffix.lower() in SUFFIXES
-    ]
+def _is_mask(file: Path) -> bool:
+    named = re.fullmatch(r"(.*\.)?mask", file.stem, re.IGNORECASE)
+    return bool(named) and file.suffix.lower() in SUFFIXES
+
+
+def _only_mask(folder: Path, masks: list[Path]) -> Path | None:
     if len(masks) > 1:
         raise InputError(
             f"{folder}: expected one mask, got {', '.join(m.name for m in masks)}; "
@@ -202,7 +209,8 @@ def _images(
             images.append(entry)
             continue
         left_out.setdefault(reason, []).append(entry.name)
-    return sorted(images), left_out
+    taken = set(images)
+    return [entry for entry in entries if entry in taken], left_out
 
 
 def _fits(entry: Path, patterns: Sequence[str]) -> bool:

@@ -42,9 +42,19 @@ def island_means(
     values: jax.Array, weights: jax.Array, labels: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """The weighted mean of each island at its pixels, `[H, W]`, and sum of weights."""
-    flat, size = labels.ravel(), labels.size
-    total = jax.ops.segment_sum((values * weights).ravel(), flat, size)
-    weight = jax.ops.segment_sum(weights.ravel(), flat, size)
+    # Each row's pieces are summed first: in float32, millions of pixels added to one
+    # sum one by one get lost (a count would end at 16.8 million).
+    column = jnp.arange(labels.shape[1], dtype=jnp.int32)
+    begins = jnp.pad(labels[:, 1:] != labels[:, :-1], ((0, 0), (1, 0)))
+    first = jax.lax.cummax(jnp.where(begins, column, 0), axis=1)
+    piece = jnp.arange(labels.size, dtype=jnp.int32).reshape(labels.shape)
+    piece = (piece - column + first).ravel()
+
+    def sums(summands: jax.Array) -> jax.Array:
+        of_pieces = jax.ops.segment_sum(summands.ravel(), piece, labels.size)
+        return jax.ops.segment_sum(of_pieces, labels.ravel(), labels.size)
+
+    total, weight = sums(values * weights), sums(weights)
     some = weight > 0
     mean = jnp.where(some, total / jnp.where(some, weight, 1), 0)
     return mean[labels], weight[labels]

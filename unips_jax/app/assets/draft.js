@@ -136,7 +136,7 @@ function showStatus(sending) {
 
 function showPhotographs() {
   const there = shown.photographs.filter((photo) => photo.state === "used" || photo.state === "new" || photo.state === "mask");
-  there.sort((a, b) => a.file.localeCompare(b.file, "en"));
+  there.sort((a, b) => a.file.localeCompare(b.file, "en", { numeric: true }));
   fill(byId("thumbnails"), [current(), shown.id, there], () =>
     there.map((photo) => {
       const source = `/api${path(`/pictures/${encodeURIComponent(photo.file)}.jpg`)}`;

@@ -22,6 +22,7 @@ from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
 from unips_jax.io.masks import read_mask
+from unips_jax.io.naming import natural_key
 
 _OBJECTS = "ball bear buddha cat cow goblet harvest pot1 pot2 reading".split()
 # Of each object's published mask.
@@ -189,7 +190,7 @@ def _listed_images(folder: Path, *, optional: bool = False) -> tuple[Path, ...]:
     if optional and not listing.is_file():
         names = sorted(
             (p.name for p in folder.glob("*.png") if p.stem.isdigit()),
-            key=files.natural_key,
+            key=natural_key,
         )
     else:
         files.require_file(listing, "the list of images, one name per line")

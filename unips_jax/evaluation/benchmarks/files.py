@@ -6,7 +6,6 @@ expected there.
 """
 
 import io
-import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,6 @@ import numpy as np
 from unips_jax.errors import InputError
 
 _NORMAL_NAMES = ("Normal_est", "normals", "normal", "Normal", "N")
-
-
-def natural_key(name: str) -> tuple[Any, ...]:
-    """Sorts `2.png` before `10.png`."""
-    parts = re.split(r"(\d+)", name.lower())
-    return tuple((0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts)
 
 
 def require_folder(path: Path, what: str) -> Path:

@@ -11,6 +11,7 @@ from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
 from unips_jax.io.color import as_linear
 from unips_jax.io.images import ImageFile, decode_image, read_image_file
 from unips_jax.io.masks import read_mask
+from unips_jax.io.naming import natural_key
 from unips_jax.io.normals import has_unit_length, normals_of
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.selection import SUFFIXES, Selection, folder_name, select
@@ -42,7 +43,7 @@ class Folder(Benchmark):
             return
         folders = sorted(
             (p for p in self.root.iterdir() if p.is_dir() and _truth_file(p)),
-            key=lambda p: files.natural_key(p.name),
+            key=lambda p: natural_key(p.name),
         )
         if not folders:
             raise InputError(

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from unips_jax.errors import InputError
-from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
 from unips_jax.io.masks import read_mask
+from unips_jax.io.naming import natural_key
 from unips_jax.io.normals import has_unit_length, read_normals
 from unips_jax.io.ps_wild import (
     MASK,
@@ -79,12 +79,7 @@ class PSWildTest(Benchmark):
         return name, (folder.parent.relative_to(self.root) / name).as_posix()
 
     def _entry(self, folder: Path, position: int, count: int) -> Entry:
-        photographs = tuple(
-            sorted(
-                photographs_of(folder, self.prefix),
-                key=lambda p: files.natural_key(p.name),
-            )
-        )
+        photographs = tuple(photographs_of(folder, self.prefix))
         if not photographs:
             raise InputError(f"{folder}: no photographs named {self.prefix.upper()}*")
         extras = [p for n in (MASK, META) if (p := folder / n).is_file()]
@@ -128,7 +123,7 @@ class PSWildTrain(PSWildTest):
 
 
 def _path_key(path: Path) -> tuple[Any, ...]:
-    return (str(path.parent), files.natural_key(path.name))
+    return (str(path.parent), natural_key(path.name))
 
 
 def _lighting(folder: Path) -> str:

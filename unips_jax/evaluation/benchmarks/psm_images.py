@@ -22,6 +22,7 @@ from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files
 from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth, distant_lights
 from unips_jax.io.masks import read_mask
+from unips_jax.io.naming import natural_key
 
 _OBJECTS = ("buddha", "cat", "gray", "horse", "owl", "rock")
 
@@ -96,7 +97,7 @@ def _images(folder: Path, name: str) -> tuple[Path, ...]:
     ]
     if not found:
         raise InputError(f"{folder}: no images; expected {name}.0.png, {name}.1.png")
-    return tuple(sorted(found, key=lambda p: files.natural_key(p.name)))
+    return tuple(sorted(found, key=lambda p: natural_key(p.name)))
 
 
 def _read_lights(path: Path) -> tuple[Lights, tuple[str, ...]]:
