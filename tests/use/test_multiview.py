@@ -241,6 +241,7 @@ def test_what_does_not_belong_is_refused(tmp_path, capsys):
         assert text in error and error.count("\n") == 1
         assert not (tmp_path / "out").exists()
 
+    refused(["--sfm", sfm, "-o", out], "expected folders of results")
     refused(
         [results[0], "--sfm", sfm, "-o", out], "expected views from different sides"
     )

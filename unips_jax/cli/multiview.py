@@ -54,7 +54,8 @@ class Options:
     """
 
     results: Annotated[
-        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RESULTS...")
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="RESULTS...", help_behavior_hint=""),
     ]
     sfm: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
@@ -64,6 +65,8 @@ class Options:
 def main(argv: Sequence[str] | None = None) -> None:
     """`unips multiview`."""
     options = parse(Options, argv, prog="unips multiview", description=__doc__)
+    if not options.results:
+        raise InputError("expected folders of results, a pose each, got none")
     cameras, content = read_sfm_data(options.sfm)
     found: dict[str, tuple[Camera, Path]] = {}
     for folder in options.results:
