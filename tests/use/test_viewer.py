@@ -232,7 +232,7 @@ def test_names_in_any_encoding_are_shown():
     assert "caf?" in html and html.encode()
 
 
-def test_base_color_and_expected_error_are_shown(folder, tmp_path):
+def test_base_color_and_spread_are_shown(folder, tmp_path):
     import OpenEXR
 
     size = (known_results.SIZE, known_results.SIZE)

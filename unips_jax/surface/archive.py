@@ -27,8 +27,10 @@ _WHAT = {
     "base_color.exr": "base colour, linear, up to one factor",
     "base_color.png": "base colour, 16 bits, sRGB",
     "relight.ptm": "a polynomial texture map, for RTI viewers",
-    "info.json": "the texture map for web pages, with plane_0.jpg to plane_5.jpg",
-    "confidence.exr": "spread of the normals in degrees; NaN: no surface",
+    "info.json": "the texture map for web pages, with plane_0.jpg to plane_5.jpg; "
+    "viewers look for these names, without the object's",
+    "confidence.exr": "spread of the normals over halves of the photographs, "
+    "degrees; NaN: no surface",
     "confidence.png": "spread of the normals, hundredths of degrees, 16 bits",
     "unreliable.png": "white where the normals are not to be trusted",
 }

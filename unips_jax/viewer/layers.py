@@ -88,7 +88,7 @@ def layers_of(result: Result, view: View) -> dict[str, Any]:
         },
         "normals": png(normals_as_bytes(result, view)),
         "depth": None if result.depth is None else _depth(result, view),
-        "confidence": _error(result, view, kept),
+        "confidence": _spread(result, view, kept),
         "palettes": {"depth": _palette("viridis"), "confidence": _palette("inferno")},
     }
 
@@ -130,13 +130,13 @@ def _depth(result: Result, view: View) -> dict[str, Any] | None:
     }
 
 
-def _error(result: Result, view: View, kept: np.ndarray) -> dict[str, Any] | None:
-    if result.expected_error is None:
+def _spread(result: Result, view: View, kept: np.ndarray) -> dict[str, Any] | None:
+    if result.spread is None:
         return None
-    there = result.inside & np.isfinite(result.expected_error)
-    error = view.shrink_inside(np.nan_to_num(result.expected_error), there)
-    top = max(float(np.percentile(error[kept], 99)), 1.0) if kept.any() else 1.0
-    levels = np.rint(255 * np.clip(error / top, 0, 1) * kept).astype(np.uint8)
+    there = result.inside & np.isfinite(result.spread)
+    spread = view.shrink_inside(np.nan_to_num(result.spread), there)
+    top = max(float(np.percentile(spread[kept], 99)), 1.0) if kept.any() else 1.0
+    levels = np.rint(255 * np.clip(spread / top, 0, 1) * kept).astype(np.uint8)
     return {"image": png(np.repeat(levels[..., None], 3, -1)), "top": top}
 
 

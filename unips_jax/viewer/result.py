@@ -41,7 +41,7 @@ class Result:
     focal: float | None = None  # in pixels; None: orthographic
     pixel_mm: float | None = None  # at the mean distance, if known
     base_color: np.ndarray | None = None  # [H, W, 3], linear, float32, in [0, 1]
-    expected_error: np.ndarray | None = None  # [H, W], float32, degrees
+    spread: np.ndarray | None = None  # of the normals, [H, W], float32, degrees
     # the content of `normals.json`
     record: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -88,14 +88,14 @@ def read_result(folder: Path, photographs: Path | None = None) -> Result:
 
 
 def maps_of(folder: Path, size: tuple[int, ...]) -> dict[str, Any]:
-    """Base colour and expected error of a folder of results: fields of `Result`."""
+    """Base colour and spread of a folder of results: fields of `Result`."""
     maps = {}
-    color, error = folder / "base_color.png", folder / "confidence.exr"
+    color, spread = folder / "base_color.png", folder / "confidence.exr"
     if color.is_file():
         maps["base_color"] = _of_size(color, read_linear(color), size)
-    if error.is_file():
-        values = read_image_file(error).pixels[..., 0]
-        maps["expected_error"] = _of_size(error, values, size)
+    if spread.is_file():
+        values = read_image_file(spread).pixels[..., 0]
+        maps["spread"] = _of_size(spread, values, size)
     return maps
 
 

@@ -115,7 +115,7 @@ function connectLayers(stage, layers) {
   listenToDivider(stage, moved);
 }
 
-/** What the colours of depth and of expected errors mean, if they are shown. */
+/** What the colours of depth and of the spread mean, if they are shown. */
 function legend(layers) {
   const parts = [];
   for (const kind of ["depth", "confidence"]) {
