@@ -18,6 +18,16 @@ def test_version_is_the_same_everywhere():
     citation = (ROOT / "CITATION.cff").read_text()
     assert versions[0] == unips_jax.__version__
     assert f"\nversion: {unips_jax.__version__}\n" in citation
+    integrations = ROOT / "integrations"
+    for name in (
+        "blender/unips_material/blender_manifest.toml",
+        "meshroom/pyproject.toml",
+    ):
+        text = (integrations / name).read_text()
+        assert re.search(r'^version = "(.*)"$', text, re.M)[1] == versions[0], name
+    add_on = (integrations / "blender/unips_material/__init__.py").read_text()
+    numbers = re.search(r'"version": \((.*)\)', add_on)[1].split(", ")
+    assert ".".join(numbers) == versions[0]
     released = re.search(rf"^## {re.escape(versions[0])} - (\S+)$", changelog, re.M)
     assert f'\ndate-released: "{released[1]}"\n' in citation
 
