@@ -12,7 +12,7 @@ Score: the shipped weights have 9.0 degrees on 256 held-out scenes with 8 images
 `docs/results.md`.
 
 These fields train from nothing, and were not run in one go. The shipped weights came
-by 44 runs, 73,270 steps, each from the weights before (`docs/history/tiny.md`); of the
+by 44 runs, 73,271 steps, each from the weights before (`docs/history/tiny.md`); of the
 scenes here they have not seen those of `side_rate` and `whole_frame_rate`. A further
 run is
 

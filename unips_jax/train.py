@@ -2,9 +2,9 @@
 
     unips train --config tiny --workdir runs/tiny --optim.learning-rate 3e-4
 
---config takes a shipped recipe's name, or a Python file as they are (`configs/`). Any
-field of the configuration can be given; their defaults below are those of the
---config file, or without one the paper's. The same command resumes a run that was
+--config takes a shipped recipe's name, or a Python file like those in `configs/`. Any
+field of the configuration can be given; the defaults below are those of the --config,
+or without one the paper's. The same command resumes a run that was
 stopped or killed, exactly: everything follows from the seed and the step, and what does
 not is in the checkpoint.
 

@@ -1,4 +1,4 @@
-"""Normals of the bundled object by `unips estimate`'s way, compared with the truth.
+"""Normals of the bundled object, as `unips estimate` makes them, next to the truth.
 
 OUT receives what `unips estimate` writes, with a map of the errors in sheet.png, and
 truth.png, the same for the true normals. The object was rendered with Blender Cycles,

@@ -7,7 +7,7 @@ longer than running it. A traced program is kept here next to the compilations, 
 A program is found by its function, the code that it follows from, shapes and types, the
 network's configuration, JAX's version and flags. What is damaged, or is not this user's
 file, is ignored. Programs are kept only where JAX's compilations are
-(`console.keep_compiled`).
+(`console.cache_compilations`).
 """
 
 import contextlib

@@ -82,7 +82,7 @@ def estimate_lights(
             none.
         mask: `[H, W]`, above 0 on the object; None: where there are normals.
         guesses: `[N, 3]`, the lights' mean directions, 1 long for a lamp, shorter for
-            scattered light, as `guess_lights` gives them; None: they are fitted.
+            scattered light, as `guessed_lights` gives them; None: they are fitted.
         near: where lamps that are near are, and the surface (`lighting.near`).
         transfer: how values encode light.
 

@@ -182,8 +182,9 @@ class TrainConfig:
     Attributes:
         steps: length of the run.
         seed: of parameters, data order, scenes and dropout.
-        squared_loss: of the distance between true and predicted normals (the paper's);
-            False takes the distance itself, which follows the mean angular error.
+        squared_loss: square the distance between true and predicted normals, as the
+            paper does; False takes the distance itself, which follows the mean angular
+            error.
         coarse_guess_weight: what the consensus' guess of coarse normals weighs in the
             loss, next to the normals' own distance.
         lights_guess_weight: what its guess of where the lights are weighs there.
