@@ -63,8 +63,8 @@ MEASUREMENTS = {
         "ps-wild-mini",
         "Twelve objects under three lightings, rendered with Blender Cycles, 10 images "
         "each (`unips render --engine cycles --preset ps-wild-mini -o ps-wild-mini`): "
-        "shapes, materials and environments are made by other code than the training "
-        "scenes'. `sbl`, sparse Bayesian, knows the lights.",
+        "shapes and materials are made by other code than the training scenes', "
+        "environments are Blender's. `sbl`, sparse Bayesian, knows the lights.",
         "unips eval --benchmark ps-wild --root ps-wild-mini --workdir out/ps-wild-mini "
         "--weights tiny -m unips sbl",
         functools.partial(readings.ps_wild, name="ps-wild-mini"),
@@ -81,8 +81,8 @@ MEASUREMENTS = {
     ),
     "fast": Measurement(
         "What `--fast` costs",
-        "By default, and in half the time; on as many sets of ps-wild-real as were "
-        "rendered when it was measured.",
+        "The mirrored view at all pixels, and at few; on as many sets of ps-wild-real "
+        "as were rendered when it was measured. What it saves: [seconds](#seconds).",
         "unips eval --benchmark ps-wild --root ps-wild-real --workdir out/fast "
         "--weights tiny -m unips unips:fast=true",
         readings.fast,

@@ -73,16 +73,19 @@ that something is broken.
 SECONDS = """
 ## Seconds
 
-By `tools/seconds.py`: whole processes, cold with an empty cache, then warm. The growth
-is that of `estimate_photographs`, compiled, under a mask of 55 %.
+What a user waits for: whole processes, the first with an empty cache (cold), the next
+with what it kept (warm), whose memory is the last column. Of 640 x 640 pixels 74
+thousand are masked. Below, how `estimate_photographs` alone grows, once compiled, with
+the number of images and with their side; 55 % of the pixels are masked.
 
 """
 SPEED = """
 ## Speed and memory
 
-By `tools/benchmark.py`. Absolute seconds say little on shared machines: the rate is
-given as a share of the same run's float32 matrix products, whose own rate is given too;
-beside it that of the paper's network in PyTorch, written plainly, in turn in one run.
+Seconds say little on shared machines. So the network's operations per second are given
+as a share of what plain float32 matrix products reached in the same run (GFLOP/s); 1
+would be as fast as they are. PyTorch: the share of the paper's network, written plainly
+in PyTorch, timed in turn with ours in one run.
 
 """
 
