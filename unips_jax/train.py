@@ -4,9 +4,9 @@
 
 --config takes a shipped recipe's name, or a Python file like those in `configs/`. Any
 field of the configuration can be given; the defaults below are those of the --config,
-or without one the paper's. The same command resumes a run that was
-stopped or killed, exactly: everything follows from the seed and the step, and what does
-not is in the checkpoint.
+or without one the paper's. The same command resumes a run that was stopped or killed,
+exactly: everything follows from the seed and the step, and what does not is in the
+checkpoint.
 
 Exit status: 0 at the last step, 143 if SIGTERM ended the run before it (a checkpoint
 was saved: the same command goes on), 2 if something given cannot be used.

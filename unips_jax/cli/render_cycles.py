@@ -3,9 +3,10 @@
 Follows the paper (UniPS, CVPR 2022, Sec. 5): one object, one material and one
 environment per scene; rotations redrawn until the normals' entropy exceeds 4 bits; the
 outline reaches the frame; Principled BSDF; path tracing with up to 10 bounces and 256
-samples, no tone mapping; 16-bit linear images. Stop it whenever you like: started
-again, or several times at once, it only does what is left. The meshes, materials,
-environments and manifest of a set must stay the same.
+samples, no tone mapping; 16-bit linear images. The presets ps-wild-mini and -real have
+smaller images and fewer samples. Stop it whenever you like: started again, or several
+times at once, it only does what is left. The meshes, materials, environments and
+manifest of a set must stay the same.
 """
 
 import dataclasses
@@ -29,14 +30,14 @@ class Options:
         output: the set's folder.
         engine: what renders.
         preset: train and test follow the paper.
-        objects: how many; 6, or all of the manifest.
+        objects: how many; 6, or all of the manifest, if not given.
         images: per object and lighting.
         lightings: of every object; all but near.
-        size: side of the images in pixels; 512.
-        samples: paths per pixel; 256.
-        denoise: the images; no.
-        perspective: share of such cameras, the rest are orthographic; 0.5.
-        seed: of objects, materials and lights; 0.
+        size: side of the images in pixels; 512 if not given.
+        samples: paths per pixel; 256 if not given.
+        denoise: the images, which is not done if not given.
+        perspective: share of such cameras, the rest are orthographic; 0.5 if not given.
+        seed: of objects, materials and lights; 0 if not given.
         meshes: folder of meshes.
         materials: folder of texture sets, one folder each.
         environments: folder of .hdr and .exr, or 'blender' for its own.
