@@ -8,7 +8,7 @@ import pytest
 
 from unips_jax.errors import InputError
 from unips_jax.models.config import ModelConfig
-from unips_jax.scenes.config import MATERIALS
+from unips_jax.scenes.config import LIGHT_KINDS, MATERIALS, SHAPE_KINDS, SceneConfig
 from unips_jax.train import main
 from unips_jax.training.config import Config
 from unips_jax.training.recipes import load_config, shipped_recipes
@@ -65,3 +65,9 @@ def test_finetuning_begins_from_the_shipped_network():
     weights = dict(zip(MATERIALS, config.scenes.material_weights, strict=True))
     assert weights["metal"] == pytest.approx(0.5) == sum(weights.values()) / 2
     assert config.train.seed != tiny.train.seed  # scenes seen once are remembered
+
+
+def test_help_names_what_weights_are_of_in_their_order():
+    text = " ".join(SceneConfig.__doc__.split())
+    for kinds in (LIGHT_KINDS, SHAPE_KINDS, MATERIALS):
+        assert f": {', '.join(kinds)}." in text

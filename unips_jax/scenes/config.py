@@ -27,11 +27,14 @@ class SceneConfig:
     """Distribution of scenes.
 
     Attributes:
-        light_weights: relative frequency of each of `LIGHT_KINDS`.
-        shape_weights: relative frequency of each of `SHAPE_KINDS`. Reliefs and plates
-            are exempt from the entropy test (they rarely pass it), so their share
-            is the share of exempt scenes.
-        material_weights: relative frequency of each of `MATERIALS`.
+        light_weights: relative frequency of each kind of light: directional,
+            environment, mixed, point, area.
+        shape_weights: relative frequency of each kind of shape: blob, composition,
+            machine, lathe, thin, relief, plate. Reliefs and plates are exempt from the
+            entropy test (they rarely pass it), so their share is the share of exempt
+            scenes.
+        material_weights: relative frequency of each material: fabric, concrete, wood,
+            floor, ground, metal, uniform, dark, glossy, painted_metal.
         perspective_rate: share of perspective cameras; the rest are orthographic.
         focal_range_mm: 35 mm equivalents of perspective cameras before the frame is
             cropped to the object, which multiplies them by about 1.3.
@@ -64,7 +67,7 @@ class SceneConfig:
             darker in its hollows.
         mesh_rate: share of scenes whose shape is a mesh by others; of a batch, as many
             as come nearest to it.
-        mesh_file: that holds them; see `scenes.meshes`.
+        mesh_file: that holds them, by `tools/fetch_assets.py --shapes`.
         metal_spot_rate: share, among metals, of those with spots of paint or rust.
     """
 
