@@ -1,14 +1,16 @@
 """The door through which files are written."""
 
+import contextlib
 import json
 import os
+import sys
 
 import numpy as np
 import pytest
 from small_disk import small_disk
 
 from unips_jax.io import door
-from unips_jax.io.results import clear_leftovers
+from unips_jax.io.results import clear_leftovers, link_or_copy, workspace
 
 
 def test_lines_are_added_whole_or_not_at_all(tmp_path):
@@ -85,3 +87,55 @@ def test_what_was_killed_long_ago_is_removed(tmp_path):
     assert sorted(tmp_path.iterdir()) == sorted([new, *theirs])
     clear_leftovers(tmp_path / "nowhere")
     door.clear_parts(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("code, there", [(32, b"new"), (5, b"new"), (1314, b"old")])
+def test_what_windows_finds_in_use_is_tried_again(code, there, tmp_path, monkeypatch):
+    path = tmp_path / "a"
+    door.write_whole(path, b"old")
+    replace, tries = type(path).replace, []
+
+    def in_use_at_first(self, target):
+        tries.append(target)
+        if len(tries) < 3:
+            error = PermissionError(13, "used by another process")
+            error.winerror = code
+            raise error
+        return replace(self, target)
+
+    monkeypatch.setattr(type(path), "replace", in_use_at_first)
+    with (
+        contextlib.nullcontext() if there == b"new" else pytest.raises(door.NotWritten)
+    ):
+        door.write_whole(path, b"new")
+    assert path.read_bytes() == there and list(tmp_path.iterdir()) == [path]
+    monkeypatch.setattr(door, "_PATIENCE_S", 0)
+    tries.clear()
+    with pytest.raises(door.NotWritten, match="used by another process"):
+        door.write_whole(path, b"newer")
+    assert path.read_bytes() == there
+
+
+def test_under_windows_results_are_not_made_private(tmp_path, monkeypatch):
+    modes, mkdir = [], type(tmp_path).mkdir
+
+    def noted(self, mode=0o777, **how):
+        modes.extend([mode] if self.name.startswith(".unips-") else [])
+        mkdir(self, mode, **how)
+
+    monkeypatch.setattr(type(tmp_path), "mkdir", noted)
+    for system in ("linux", "win32"):
+        monkeypatch.setattr(sys, "platform", system)
+        with workspace(tmp_path):
+            pass
+    assert modes == [0o700, 0o777]
+
+
+def test_files_are_copied_where_links_have_no_such_option(tmp_path, monkeypatch):
+    def no_such_option(*_, **__):
+        raise NotImplementedError("link: follow_symlinks unavailable on this platform")
+
+    (tmp_path / "a").write_bytes(b"data")
+    monkeypatch.setattr(os, "link", no_such_option)
+    link_or_copy(str(tmp_path / "a"), str(tmp_path / "b"))
+    assert (tmp_path / "b").read_bytes() == b"data"

@@ -17,7 +17,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,6 +25,8 @@ from unips_jax.errors import InputError
 
 _PART = re.compile(r"\.[0-9a-f]{12}\.\d+-\d+\.tmp")  # see `new_path`
 _ABANDONED_S = 86_400  # of a file that is being written, the time changes
+# Windows moves nothing that is open elsewhere, if only to be scanned for viruses.
+_IN_USE, _PATIENCE_S = (5, 32), 2.0
 
 
 class NotWritten(InputError):
@@ -71,7 +73,7 @@ def new_path(path: Path, *, suffix: str | None = None) -> Iterator[Path]:
             raise OSError(errno.EINVAL, "a device or a pipe, not a file")
         try:
             yield part
-            part.replace(path)
+            patiently(part.replace, path)
         except BaseException:
             part.unlink(missing_ok=True)
             raise
@@ -122,7 +124,21 @@ def append_line(path: Path, line: str) -> None:
 def move(source: Path, target: Path) -> None:
     """Renames a file or folder of the same file system; a file there is replaced."""
     with writing(target):
-        source.replace(target)
+        patiently(source.replace, target)
+
+
+def patiently(move: Callable[[Path], object], target: Path) -> None:
+    """Moves to a target, and tries for a while where Windows finds it in use."""
+    end = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            move(target)
+            return
+        except PermissionError as error:
+            in_use = getattr(error, "winerror", None) in _IN_USE
+            if not in_use or time.monotonic() > end:
+                raise
+        time.sleep(0.05)
 
 
 def clear_parts(folder: Path) -> None:

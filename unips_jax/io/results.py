@@ -11,6 +11,7 @@ import json
 import os
 import secrets
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
@@ -19,7 +20,14 @@ from typing import Any
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
-from unips_jax.io.door import NotWritten, clear_parts, move, write_json, writing
+from unips_jax.io.door import (
+    NotWritten,
+    clear_parts,
+    move,
+    patiently,
+    write_json,
+    writing,
+)
 from unips_jax.io.record_schema import file_of, load_record
 
 RECORD = "normals.json"
@@ -207,7 +215,8 @@ def workspace(parent: Path) -> Iterator[Path]:
         with contextlib.suppress(InputError):
             held.enter_context(claim(lock, wait=True))
         try:
-            lock.with_suffix("").mkdir(0o700)
+            # Under Windows what is made in a private folder stays private when moved.
+            lock.with_suffix("").mkdir(0o777 if sys.platform == "win32" else 0o700)
             yield lock.with_suffix("")
         finally:
             _dissolve(lock)
@@ -268,7 +277,7 @@ def link_or_copy(source: str, target: str) -> None:
     """Gives a file another name; a copy where there are no links."""
     try:
         os.link(source, target, follow_symlinks=False)
-    except OSError:  # not every file system has links
+    except (OSError, NotImplementedError):  # not every file system has links
         with writing(Path(target)):  # else `copytree` collects what failed
             shutil.copy2(source, target, follow_symlinks=False)
 
@@ -276,14 +285,14 @@ def link_or_copy(source: str, target: str) -> None:
 def _switch(place: Path, new: Path, work: Path) -> None:
     while True:
         try:
-            new.rename(place)
+            patiently(new.rename, place)
             return
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
         aside = Path(tempfile.mkdtemp(prefix=_BEFORE, dir=work))
         with contextlib.suppress(FileNotFoundError):  # another process was faster
-            place.rename(aside / place.name)
+            patiently(place.rename, aside / place.name)
 
 
 def _dissolve(lock: Path) -> None:
