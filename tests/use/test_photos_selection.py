@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from unips_jax.errors import InputError
 from unips_jax.io.selection import drawn, is_map, select
+from unips_jax.lighting.known import read_known_lights
+from unips_jax.lighting.rig import read_rig
 
 
 @pytest.mark.parametrize(
@@ -203,6 +206,24 @@ def test_a_list_of_lights_names_the_photographs(tmp_path):
     }
     (tmp_path / "coin.lp").write_bytes(b"\xff\x00nothing of ours")
     assert select(tmp_path).names == ("rti 01.jpg", "rti 02.jpg", "setup.jpg")
+
+
+def test_accents_may_be_written_as_macos_does(tmp_path):
+    apart = "Scha\u0308del"  # the dots of the letter are a character of their own
+    touch(tmp_path, f"{apart}_1.jpg", f"{apart}_2.jpg", f"{apart}_3.jpg")
+    selection = select(tmp_path, include=["Schädel_[12].jpg"])
+    assert selection.names == (f"{apart}_1.jpg", f"{apart}_2.jpg")
+    lights = "2\nschädel_1.jpg 0 0 1\nSchädel_3.tif .6 0 .8\n"
+    (tmp_path / "dome.lp").write_text(lights, "utf-8")
+    selection = select(tmp_path)
+    assert selection.names == (f"{apart}_1.jpg", f"{apart}_3.jpg")
+    for given in ([str(tmp_path / "dome.lp")], ["Schädel_1: left", "Schädel_3: left"]):
+        assert read_known_lights(given, selection.names).any(axis=1).all()
+    names = (selection.names[1], "a.jpg", selection.names[0])
+    with pytest.raises(InputError, match="none of them for a.jpg"):
+        read_rig(tmp_path / "dome.lp", names)
+    rig = read_rig(tmp_path / "dome.lp", names[::2])
+    np.testing.assert_allclose(rig, [[0.6, 0, 0.8], [0, 0, 1]], atol=1e-6)
 
 
 def test_links_and_hidden_files(tmp_path):

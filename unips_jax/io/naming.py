@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import unicodedata
 from pathlib import Path
 
 RAW_SUFFIXES = frozenset(
@@ -20,6 +21,16 @@ _BETTER = (  # of a photograph in two formats; a camera's raw file is the best
     (".tif", ".tiff"),
     (".exr",),
 )
+
+
+def composed(name: str) -> str:
+    """A name with each accent in its letter, not after it as macOS may write them."""
+    return unicodedata.normalize("NFC", name)
+
+
+def plain_name(name: str) -> str:
+    """What the names of one photograph share, whatever their case and suffix."""
+    return composed(Path(name).stem).casefold()
 
 
 def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:

@@ -21,7 +21,14 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.light_list import read_light_list
-from unips_jax.io.naming import RAW_SUFFIXES, VIDEO_SUFFIXES, each_once, in_order
+from unips_jax.io.naming import (
+    RAW_SUFFIXES,
+    VIDEO_SUFFIXES,
+    composed,
+    each_once,
+    in_order,
+    plain_name,
+)
 
 SUFFIXES = RAW_SUFFIXES | frozenset(
     ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split()
@@ -214,7 +221,8 @@ def _images(
 
 
 def _fits(entry: Path, patterns: Sequence[str]) -> bool:
-    return any(fnmatch.fnmatch(entry.name, pattern) for pattern in patterns)
+    name = composed(entry.name)
+    return any(fnmatch.fnmatch(name, composed(pattern)) for pattern in patterns)
 
 
 def _by_name(
@@ -249,17 +257,16 @@ def _listed(
     listed = read_light_list(path)
     if listed.problems:
         left_out[f"not understood in {path.name}"] = [*listed.problems]
-    by_name = {file.name.lower(): file for file in images}
+    by_name = {composed(file.name).casefold(): file for file in images}
     by_stem: dict[str, list[Path]] = {}
     for file in images:
-        by_stem.setdefault(file.stem.lower(), []).append(file)
+        by_stem.setdefault(plain_name(file.name), []).append(file)
     found = {}
     for name in listed.names:
-        alike = by_stem.get(Path(name).stem.lower(), []) or by_stem.get(
-            name.lower(), []
-        )
+        spelled = composed(name).casefold()
+        alike = by_stem.get(plain_name(name)) or by_stem.get(spelled) or []
         only = alike[0] if len(alike) == 1 else None
-        found[name] = by_name.get(name.lower(), only)
+        found[name] = by_name.get(spelled, only)
     files = [file for file in images if file in found.values()]
     if len(files) < 2:
         reason = (

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.naming import plain_name
 from unips_jax.lighting.rig import read_directions
 
 _WORDS = {
@@ -53,10 +54,10 @@ def _from_list(path: Path, names: Sequence[str]) -> tuple[list[int], np.ndarray]
             "upper left, found no such file"
         )
     known, directions = read_directions(path, option)
-    places = {_plain(name): row for row, name in enumerate(known)}
-    rows = [row for row, name in enumerate(names) if _plain(name) in places]
+    places = {plain_name(name): row for row, name in enumerate(known)}
+    rows = [row for row, name in enumerate(names) if plain_name(name) in places]
     if rows:
-        return rows, directions[[places[_plain(names[row])] for row in rows]]
+        return rows, directions[[places[plain_name(names[row])] for row in rows]]
     if len(known) == len(names):
         return list(range(len(names))), directions
     raise InputError(
@@ -83,7 +84,7 @@ def _by_hand(
     direction[:2] /= np.linalg.norm(direction[:2]) or 1
     direction[2] += 1
     direction *= _ERROR / np.linalg.norm(direction)
-    by_name = [row for row, n in enumerate(names) if _plain(n) == _plain(name)]
+    by_name = [row for row, n in enumerate(names) if plain_name(n) == plain_name(name)]
     if by_name:
         return by_name, direction
     numbers = [str(row + 1) for row in range(len(names))]
@@ -93,7 +94,3 @@ def _by_hand(
         f"--known-lights {text!r}: expected a photograph's name, or its number from 1 "
         f"to {len(names)}, got {name}"
     )
-
-
-def _plain(name: str) -> str:
-    return Path(name).stem.casefold()

@@ -13,6 +13,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.light_list import read_light_list
+from unips_jax.io.naming import plain_name
 from unips_jax.lighting.harmonics import harmonics
 from unips_jax.lighting.light_fit import Lights
 
@@ -98,8 +99,8 @@ def _rows(known: Sequence[str], names: Sequence[str] | None, source: Path) -> li
     """Which light is each photograph's."""
     if names is None:
         return list(range(len(known)))
-    places = {Path(name).stem.casefold(): row for row, name in enumerate(known)}
-    wanted = [Path(name).stem.casefold() for name in names]
+    places = {plain_name(name): row for row, name in enumerate(known)}
+    wanted = [plain_name(name) for name in names]
     if all(name in places for name in wanted):
         return [places[name] for name in wanted]
     if len(known) == len(names):
