@@ -1,6 +1,7 @@
 """Who may ask the application for what, where it listens, and what it says."""
 
 import asyncio
+import errno
 import json
 import re
 import socket
@@ -13,8 +14,9 @@ pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 
 from unips_jax.app import answers, work
 from unips_jax.app.guard import Guard
-from unips_jax.app.server import listening
+from unips_jax.app.server import PORT, listening
 from unips_jax.cli.app import main as app
+from unips_jax.errors import InputError
 
 ASSETS = Path(__file__).parents[2] / "unips_jax/app/assets"
 
@@ -226,6 +228,23 @@ def test_a_used_port_is_one_line_or_the_next(capsys, tmp_path, monkeypatch):
         monkeypatch.setattr("unips_jax.app.server.PORT", port)
         with listening(OWN, None) as ears:
             assert port < ears.getsockname()[1] < port + 20
+
+
+def test_ports_that_windows_keeps_are_passed_over(monkeypatch):
+    class Socket(socket.socket):
+        def bind(self, address):
+            if address[1] == PORT:
+                raise PermissionError(errno.EACCES, "forbidden by access permissions")
+            super().bind((OWN, 0))
+
+    monkeypatch.setattr(socket, "socket", Socket)
+    with listening(OWN, None) as ears:
+        assert ears.getsockname()[1] > 0
+    with (
+        pytest.raises(InputError, match=f"--port {PORT}: .* forbidden by access"),
+        listening(OWN, PORT),
+    ):
+        pass
 
 
 def test_results_that_cannot_be_written_are_one_line(capsys, tmp_path):

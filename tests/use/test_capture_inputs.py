@@ -102,6 +102,15 @@ def test_pages_are_read_as_files_of_their_own(tmp_path, pages, tags):
         np.testing.assert_array_equal(found.alpha, expected.alpha)
 
 
+def test_errors_of_pages_name_the_file_whatever_the_separator(tmp_path):
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, _COLOUR[..., :3], photometric="rgb")
+    for separator in ("/", "\\"):
+        with pytest.raises(InputError) as caught, unpacked(path) as folder:
+            raise InputError(f"{folder}{separator}page_002.tif: too dark")
+        assert str(caught.value) == f"{path} page_002: too dark"
+
+
 def test_files_that_hold_one_or_nothing(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.zeros((20, 30), np.uint8))
     tifffile.imwrite(tmp_path / "e.tif", _COLOUR[0, ..., :3], imagej=True)

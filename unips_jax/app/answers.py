@@ -6,7 +6,7 @@ import os
 import shutil
 import zipfile
 from collections.abc import Awaitable, Callable
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from starlette.requests import ClientDisconnect, Request
@@ -143,8 +143,9 @@ def reason_of(text: str, other: str = "unreadable") -> tuple[str, str]:
     return (plain, "") if plain else (other, text)
 
 
-def without_folder(text: str, path: Path) -> str:
+def without_folder(text: str, path: PurePath) -> str:
     """Errors name files by this machine's folders, which say nothing to visitors."""
     for known in (path, path.parent):
-        text = text.replace(f"{known}: ", "").replace(f"{known}/", "")
+        for end in (": ", "/", "\\"):
+            text = text.replace(f"{known}{end}", "")
     return text.replace(str(path), path.name)

@@ -22,10 +22,11 @@ from typing import Any
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
 from unips_jax.io.door import clear_parts, write_whole
-from unips_jax.io.naming import natural_key
+from unips_jax.io.naming import composed, natural_key
 from unips_jax.io.results import appearing_at_once, link_or_copy
 
 _FILE = "object.json"
+_DEVICE = re.compile("con|prn|aux|nul|(com|lpt)[0-9]", re.IGNORECASE)  # in Windows
 OVER = ("done", "failed", "cancelled", "interrupted")
 
 
@@ -245,8 +246,10 @@ def opened(results: Path, *, days: float) -> Iterator[Objects]:
 
 def clean(name: str, *, longest: int = 100) -> str:
     """A name of letters, digits and `-_.` that any file system takes."""
-    text = re.sub(r"[^\w.-]+", "_", name.replace("\\", "/").rsplit("/", 1)[-1])
-    text = text.strip("._")
+    name = composed(name.replace("\\", "/").rsplit("/", 1)[-1])
+    text = re.sub(r"[^\w.-]+", "_", name).strip("._")
+    if _DEVICE.fullmatch(text.partition(".")[0]):
+        text = f"{text[:3]}_{text[3:]}"
     stem, dot, suffix = text.rpartition(".")
     if not dot or len(suffix) > 8:
         stem, suffix = text, ""

@@ -28,6 +28,7 @@ from unips_jax.io.results import clear_leftovers
 
 PORT = 8080
 _TRIED = 20  # ports from there, where none was asked for
+_USED = (errno.EADDRINUSE, errno.EACCES)  # Windows keeps ranges of ports for itself
 _KINDS = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -151,7 +152,7 @@ def listening(host: str, port: int | None):  # noqa: ANN201
             ears.listen(128)
         except OSError as error:
             ears.close()
-            if error.errno == errno.EADDRINUSE and number != ports[-1]:
+            if error.errno in _USED and number != ports[-1]:
                 continue
             raise InputError(_cannot_listen(host, number, error)) from None
         with ears:

@@ -73,7 +73,7 @@ def unpacked(
             yield folder
         except InputError as error:
             # The folder is gone when the message is read.
-            part = re.escape(str(folder)) + r"(?:/([^:,;]+)\.\w+)?"
+            part = re.escape(str(folder)) + r"(?:[/\\]([^:,;]+)\.\w+)?"
             text = re.sub(part, lambda m: f"{path} {m[1] or ''}".rstrip(), str(error))
             raise InputError(text) from None
 

@@ -263,6 +263,7 @@ def _speaks(path: Path) -> bool:
     stem = path.stem.lower()
     return (
         path.suffix.lower() in _SUFFIXES
+        and not path.name.startswith(".")
         and any(word in stem for word in _WORDS)
         and not any(word in stem for word in _NO_NORMALS)
     )
