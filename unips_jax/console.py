@@ -3,6 +3,7 @@
 import contextlib
 import difflib
 import functools
+import glob
 import io
 import math
 import os
@@ -119,6 +120,14 @@ def parse(
         what = "has no option" if unknown[0].startswith("-") else "does not expect"
         raise InputError(f"{prog} {what} {unknown[0]}: {hint}see `{prog} --help`")
     return found
+
+
+def expanded(paths: Iterable[Path]) -> Iterator[Path]:
+    """Paths, those that a pattern fits in place of it: Windows' shells leave that."""
+    for path in paths:
+        there = os.path.lexists(path)
+        found = [] if there else sorted(map(Path, glob.glob(str(path))))
+        yield from found or [path]
 
 
 def _nearest(name: str, known: Sequence[str]) -> list[str]:

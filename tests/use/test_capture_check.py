@@ -2,7 +2,10 @@
 
 import dataclasses
 import json
+import os
 import re
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -218,6 +221,17 @@ def test_the_command(folder, capsys):
     (report,) = findings(capsys, folder)
     assert report["findings"] == [] and report["mask_suggested"]
     assert report["transfer"] == "srgb" and report["width"] == 220
+
+
+def test_records_are_in_any_consoles_encoding(folder):
+    place = folder.rename(folder.with_name("Büste 像"))
+    shown = subprocess.run(
+        [sys.executable, "-m", "unips_jax", "check", str(place), "--json"],
+        env={**os.environ, "PYTHONIOENCODING": "cp437"},
+        capture_output=True,
+        check=True,
+    )
+    assert json.loads(shown.stdout)[0]["folder"] == str(place)
 
 
 def test_files_that_do_not_fit_together(folder, capsys):

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -12,6 +13,7 @@ import pytest
 from estimate_runs import EXAMPLES, HEIGHT, WIDTH, photograph, pot, replace, run, write
 
 from unips_jax import weights
+from unips_jax.cli import main
 from unips_jax.estimation import folders
 from unips_jax.io.selection import drawn, select
 from unips_jax.models.config import ModelConfig
@@ -248,6 +250,35 @@ def test_folders_of_one_name_are_refused(folder, tmp_path, calls, capsys):
     twin.mkdir(parents=True)
     assert run(folder, twin, "-o", tmp_path / "out") == 2
     assert "folders of different names" in capsys.readouterr().err
+
+
+def test_names_of_one_folder_in_macos_are_refused_there(
+    folder, tmp_path, calls, capsys, monkeypatch
+):
+    others = []
+    for index, name in enumerate(("POT", "bu\u0308ste", "Büste")):
+        others.append(tmp_path / str(index) / name)
+        shutil.copytree(folder, others[-1])
+    monkeypatch.setattr(sys, "platform", "darwin")
+    for pair in ((folder, others[0]), others[1:]):
+        assert run(*pair, "-o", tmp_path / "out") == 2
+        assert "folders of different names" in capsys.readouterr().err
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert run(folder, others[0], "-o", tmp_path / "out") == 0
+
+
+def test_patterns_are_expanded_as_shells_do(folder, tmp_path, calls, capsys):
+    shutil.copytree(folder, tmp_path / "[1]")
+    shutil.copytree(folder, tmp_path / "cup")
+    out = tmp_path / "out"
+    assert run(tmp_path / "[pc]*", tmp_path / "[1]", "-o", out) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["[1]", "cup", "pot"]
+    assert main.main(["check", str(tmp_path / "*"), "--json"]) == 2  # out is no folder
+    assert f"{out}: expected photographs" in capsys.readouterr().err
+    assert run(tmp_path / "x*", "-o", out) == 2
+    assert (
+        "x*: expected a folder of photographs, got nothing" in capsys.readouterr().err
+    )
 
 
 def test_module_runs_as_a_program():

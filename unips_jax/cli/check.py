@@ -20,7 +20,7 @@ import tyro
 
 from unips_jax.capture.folder import Report, check_photographs
 from unips_jax.capture.unpack import is_container, unpacked
-from unips_jax.console import command, parse
+from unips_jax.console import command, expanded, parse
 from unips_jax.errors import InputError
 from unips_jax.io.images import MAX_PIXELS
 from unips_jax.io.normal_maps import Examined, is_normal_map, read_normal_map
@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if not options.folders:
         raise InputError("expected a folder of photographs, got none; name it")
     reports = []
-    for folder in options.folders:
+    for folder in expanded(options.folders):
         if is_normal_map(folder):
             found = read_normal_map(folder, options.normal_map)
             if options.json:
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         else:
             _print(report)
     if options.json:
-        print(json.dumps(reports, indent=2, ensure_ascii=False))
+        print(json.dumps(reports, indent=2))  # in any console's encoding
 
 
 def _check(folder: Path, options: Options, source: Path | None = None) -> Report:

@@ -21,7 +21,7 @@ import tyro
 
 from unips_jax.capture.views import views_by_time
 from unips_jax.cli.cluster import RayOptions, spread
-from unips_jax.console import command, parse, reason_of, start_jax
+from unips_jax.console import command, expanded, parse, reason_of, start_jax
 from unips_jax.errors import InputError
 from unips_jax.estimation.folders import (
     NamedNetwork,
@@ -31,6 +31,7 @@ from unips_jax.estimation.folders import (
 )
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.reading import chosen_photographs
+from unips_jax.io.naming import composed
 from unips_jax.io.results import check_target, clear_leftovers
 from unips_jax.io.selection import folder_name
 
@@ -160,20 +161,23 @@ def _jobs(options: Options) -> list[_Job]:
             "--random-weights too; leave one out"
         )
     jobs: dict[Path, _Job] = {}
-    for folder in dict.fromkeys(options.folders):
+    for folder in dict.fromkeys(expanded(options.folders)):
         target = options.output / folder_name(folder)
         if options.pause is None:
             found = [_Job(folder, target, options.how)]
         else:
             found = _views(folder, target, options.how, options.pause)
         for job in found:
-            if job.target in jobs:
+            place = job.target
+            if sys.platform == "darwin":  # there Bust and bust are one folder
+                place = place.with_name(composed(place.name).casefold())
+            if place in jobs:
                 raise InputError(
                     f"{job.title}: expected folders of different names, or views, got "
-                    f"one named as that of {jobs[job.target].title}; run them one by "
-                    "one with different -o"
+                    f"one named as that of {jobs[place].title}; run them one by one "
+                    "with different -o"
                 )
-            jobs[job.target] = job
+            jobs[place] = job
     return list(jobs.values())
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from unips_jax.console import command, parse
+from unips_jax.console import command, expanded, parse
 from unips_jax.errors import InputError
 from unips_jax.io.cameras import (
     Camera,
@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         raise InputError("expected folders of results, a pose each, got none")
     cameras, content = read_sfm_data(options.sfm)
     found: dict[str, tuple[Camera, Path]] = {}
-    for folder in options.results:
+    for folder in expanded(options.results):
         check_target(options.output, folder, record=FOLDER_RECORD)
         camera = _camera_of(folder, cameras, options.sfm)
         if camera.pose in found:
