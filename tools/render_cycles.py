@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 from unips_jax.cli import render
+from unips_jax.cycles.blender_process import python_in
 
 REQUIREMENTS = ("bpy==4.5.15", "numpy<2")
 
@@ -23,12 +24,13 @@ REQUIREMENTS = ("bpy==4.5.15", "numpy<2")
 def set_up(folder: Path, python: str) -> None:
     """Makes the environment and tries it."""
     subprocess.run([python, "-m", "venv", str(folder)], check=True)
-    inside = str(folder / "bin" / "python")
+    inside = str(python_in(folder))
     subprocess.run([inside, "-m", "pip", "install", *REQUIREMENTS], check=True)
     subprocess.run(
         [inside, "-c", "import bpy; print(bpy.app.version_string)"], check=True
     )
-    print(f"now: export UNIPS_BPY_PYTHON={inside}")
+    command = "set" if sys.platform == "win32" else "export"
+    print(f"now: {command} UNIPS_BPY_PYTHON={inside}")
 
 
 def main() -> int:

@@ -183,6 +183,24 @@ def test_failures_are_recorded_and_the_rest_is_rendered(
     assert len(list((tmp_path / "set").glob("*/*.data"))) == 12
 
 
+def test_answers_are_waited_for_with_a_limit(stand_in, monkeypatch):
+    def only_sockets(*_):
+        raise OSError(10038, "an operation on something that is not a socket")
+
+    monkeypatch.setattr("select.select", only_sockets)  # as under Windows
+    monkeypatch.setenv("SLOW", "30")
+    asked = {"size": 8, "seed": 0}
+    with blender_process.Blender(stand_in) as blender:
+        for _ in range(2):  # the second asks a process of its own
+            assert blender.ask("version") == {"blender": "stand-in"}
+            began = time.monotonic()
+            with pytest.raises(
+                blender_process.BlenderError, match="did not answer in 1 s at 'image'"
+            ):
+                blender.ask("image", limit_s=1, path="", **asked)
+            assert time.monotonic() - began < 10
+
+
 def test_drawn_environments_go_with_their_object(stand_in, tmp_path, monkeypatch):
     left = []
     with blender_process.Blender(stand_in) as blender:

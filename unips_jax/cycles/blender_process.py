@@ -4,14 +4,16 @@
 crash or a hang there costs one object, not the run.
 """
 
+import contextlib
 import json
 import os
-import select
+import queue
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import OpenEXR
@@ -20,6 +22,12 @@ from unips_jax.errors import InputError
 
 VARIABLE = "UNIPS_BPY_PYTHON"
 SETUP = "python tools/render_cycles.py --setup .venv-bpy"
+
+
+def python_in(environment: Path) -> Path:
+    """The Python of a virtual environment."""
+    windows = sys.platform == "win32"
+    return environment / ("Scripts/python.exe" if windows else "bin/python")
 
 
 class BlenderError(RuntimeError):
@@ -39,7 +47,7 @@ def find_python() -> str:
         reason = (probe.stderr.strip().splitlines() or ["no message"])[-1]
         raise InputError(
             f"{python} cannot import bpy ({reason}); set up Blender's Python with "
-            f"`{SETUP}` and set {VARIABLE}=.venv-bpy/bin/python"
+            f"`{SETUP}` and set {VARIABLE}={python_in(Path('.venv-bpy'))}"
         )
     return python
 
@@ -52,6 +60,7 @@ class Blender:
         self._python, self._threads = python, threads
         self._folder = tempfile.TemporaryDirectory(prefix="unips-cycles-")
         self._process: subprocess.Popen[str] | None = None
+        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     @property
     def folder(self) -> Path:
@@ -81,13 +90,22 @@ class Blender:
                     env=environment,
                     text=True,
                 )
+            # Pipes cannot be waited for with a limit under Windows, queues can.
+            self._answers = queue.SimpleQueue()
+            streams = (self._process.stdout, self._answers)
+            self._reader = threading.Thread(target=_pass_on, args=streams, daemon=True)
+            self._reader.start()
         return self._process
 
     def _stop(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
+        process, self._process = self._process, None
+        if process is not None:
+            assert process.stdin
+            process.kill()
+            process.wait()
+            self._reader.join()
+            with contextlib.suppress(OSError):  # of what could not be sent
+                process.stdin.close()
 
     def ask(self, do: str, *, limit_s: float = 3600.0, **arguments: Any) -> Any:
         """Asks for a method of `blender.worker.Studio`; waits for the answer.
@@ -96,16 +114,17 @@ class Blender:
         seconds; the next request starts another, which knows of no object.
         """
         process = self._start()
-        assert process.stdin and process.stdout
+        assert process.stdin
+        line, what = "", "died"
         try:
             print(json.dumps({"do": do, **arguments}), file=process.stdin, flush=True)
-            ready = select.select([process.stdout], [], [], limit_s)[0]
-            line = process.stdout.readline() if ready else ""
-        except BrokenPipeError:
-            ready, line = [process.stdout], ""
+            line = self._answers.get(timeout=limit_s)
+        except queue.Empty:
+            what = f"did not answer in {limit_s:.0f} s"
+        except OSError:  # it is gone
+            pass
         if not line:
             self._stop()
-            what = "died" if ready else f"did not answer in {limit_s:.0f} s"
             log = (self.folder / "log.txt").read_text(errors="replace")
             last = [text for text in log.splitlines() if text.strip()][-1:]
             raise BlenderError(f"Blender {what} at {do!r}: {' '.join(last)}")
@@ -124,3 +143,11 @@ class Blender:
             name.removeprefix("ViewLayer."): np.asarray(channel.pixels, np.float32)
             for name, channel in channels.items()
         }
+
+
+def _pass_on(lines: IO[str], answers: "queue.SimpleQueue[str]") -> None:
+    """Passes on what a process prints, and an empty line once it has ended."""
+    with lines:
+        for line in lines:
+            answers.put(line)
+    answers.put("")
