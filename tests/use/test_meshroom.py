@@ -12,6 +12,7 @@ import logging
 import sys
 import types
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -229,6 +230,66 @@ def test_failures_stop_or_are_skipped(node, poses):
     assert [outcome[f"object{i}"] == "done" for i in range(5)] == [False] + [True] * 4
     assert len(list((poses / "skip").glob("*_normals.png"))) == 4
     assert not list((poses / "skip").glob(".*"))
+
+
+WINDOWS = {
+    "unips": ["unips"],
+    r"C:\unips\unips.exe": [r"C:\unips\unips.exe"],
+    r'"C:\My tools\python.exe" -m x': [r"C:\My tools\python.exe", "-m", "x"],
+}
+
+
+@pytest.fixture
+def addon(monkeypatch):
+    """The Blender add-on's module, without Blender: it only calls the command."""
+    properties = "BoolProperty EnumProperty FloatProperty IntProperty StringProperty"
+    modules = {
+        "bpy": {"types": mock.MagicMock(AddonPreferences=object, Operator=object)},
+        "bpy.props": dict.fromkeys(properties.split(), dict),
+        "mathutils": {"Vector": None},
+    }
+    for name, content in modules.items():
+        module = types.ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.syspath_prepend(PLUGIN.with_name("blender"))
+    yield importlib.import_module("unips_material")
+    for name in ("unips_material", "unips_material.lights", "unips_material.relief"):
+        del sys.modules[name]
+
+
+def test_commands_are_split_as_the_system_writes_paths(
+    node, addon, tmp_path, monkeypatch
+):
+    place = tmp_path / "my tools"
+    place.write_text("")
+    for module in (node, addon):
+        assert module._words(str(place)) == [str(place)]
+        assert module._words("'/my tools/x' -m y") == ["/my tools/x", "-m", "y"]
+    monkeypatch.setattr(sys, "platform", "win32")
+    for command, words in WINDOWS.items():
+        assert node._words(command) == addon._words(command) == words
+
+
+def test_names_in_files_and_messages_may_have_any_letters(
+    node, addon, tmp_path, monkeypatch
+):
+    """As under Windows, where text is UTF-8 only if that is asked for."""
+    monkeypatch.undo()  # the process is really started
+    monkeypatch.setenv("PYTHONIOENCODING", "cp1252")
+    monkeypatch.setattr(io, "text_encoding", lambda given, *_: given or "cp1252")
+    script = tmp_path / "unips.py"
+    script.write_text("import sys; sys.exit('error: Büste, 像')", "utf-8")
+    command = f"{sys.executable} {script}"
+    with pytest.raises(RuntimeError, match="Büste, 像"):
+        node._run(node._words(command))
+    with pytest.raises(addon.UnipsError, match="Büste, 像"):
+        addon.estimate(tmp_path, command=command, weights="", max_images=0, seed=0)
+    views = {"views": [{"poseId": 1, "path": "Büste.png"}], "photographs": "Büste"}
+    file = tmp_path / "in.sfm"
+    file.write_text(json.dumps(views, ensure_ascii=False), "utf-8")
+    assert node.find_poses(file) == {"1": [tmp_path / "Büste.png"]}
+    assert addon.lights.read_lights(file) == "Büste"
 
 
 def test_a_command_that_is_not_there_is_named(node, poses, monkeypatch):

@@ -7,9 +7,11 @@ lamps of the photographs' estimated lights, one to a frame.
 """
 
 import json
+import os
 import re
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import bpy
@@ -57,12 +59,18 @@ def estimate(
     """
     name = re.sub(r"\.data$", "", photographs.name)
     output = photographs.parent / f"{name}_unips"
-    words = [*shlex.split(command), "estimate", str(photographs), "-o", str(output)]
+    words = [*_words(command), "estimate", str(photographs), "-o", str(output)]
     words += ["--depth", "--base-color", "--lights", "--weights", weights]
     if max_images:
         words += ["--max-images", str(max_images), "--seed", str(seed)]
     try:
-        run = subprocess.run(words, capture_output=True, text=True)
+        run = subprocess.run(
+            words,
+            env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+        )
     except OSError as error:
         raise UnipsError(
             f"{words[0]}: {error.strerror}; name the command of unips_jax in the "
@@ -72,6 +80,15 @@ def estimate(
         errors = [line for line in run.stderr.splitlines() if line.startswith("error:")]
         raise UnipsError(" ".join(errors) or f"unips ended with {run.returncode}")
     return output / name
+
+
+def _words(command: str) -> list[str]:
+    """A command's words; those with blanks are quoted, unless it is a file's path."""
+    if Path(command).is_file():
+        return [command]
+    if sys.platform == "win32":  # in its paths backslashes are no escapes
+        command = command.replace("\\", "\\\\")
+    return shlex.split(command)
 
 
 def build(
@@ -98,7 +115,7 @@ def build(
         UnipsError: if files are missing.
     """
     try:
-        surface = json.loads((result / "normals.json").read_text())["surface"]
+        surface = json.loads((result / "normals.json").read_bytes())["surface"]
         pictures = {
             name: relief.load(result / f"{name}.png", color=name == "base_color")
             for name in ("normals", "height", "depth", "base_color")

@@ -16,7 +16,7 @@ def read_lights(path: Path) -> list[dict]:
     Raises:
         OSError, ValueError, KeyError: if it is not that.
     """
-    return json.loads(path.read_text())["photographs"]
+    return json.loads(path.read_bytes())["photographs"]
 
 
 def add_lights(name: str, photographs: list[dict]) -> bpy.types.Collection:

@@ -10,6 +10,7 @@ import os
 import shlex
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -185,7 +186,7 @@ def find_poses(source: Path) -> dict[str, Path | list[Path]]:
                 folders[folder.name.removesuffix(".data")] = folder
     elif source.is_file():
         try:
-            for view in json.loads(source.read_text())["views"]:
+            for view in json.loads(source.read_bytes())["views"]:
                 path = source.parent / view["path"]
                 if not path.name.startswith("."):
                     views.setdefault(str(view["poseId"]), []).append(path)
@@ -213,7 +214,7 @@ def _estimate(
         else:
             folder = Path(scratch) / pose
             links = _linked(given, folder)
-        command = [*shlex.split(options["executable"]), "estimate", str(folder)]
+        command = [*_words(options["executable"]), "estimate", str(folder)]
         command += ["-o", str(Path(scratch) / "out"), "--weights", options["weights"]]
         command += ["--normal-map", options["convention"]]
         if options["maxImages"]:
@@ -239,9 +240,24 @@ def _estimate(
             os.replace(result, output / f"{pose}_normals.{suffix}")
 
 
+def _words(command: str) -> list[str]:
+    """A command's words; those with blanks are quoted, unless it is a file's path."""
+    if Path(command).is_file():
+        return [command]
+    if sys.platform == "win32":  # in its paths backslashes are no escapes
+        command = command.replace("\\", "\\\\")
+    return shlex.split(command)
+
+
 def _run(command: list[str]) -> None:
     try:
-        run = subprocess.run(command, capture_output=True, text=True)
+        run = subprocess.run(
+            command,
+            env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+        )
     except OSError as error:
         raise RuntimeError(
             f"{command[0]}: expected the command of unips_jax, got: "
