@@ -80,7 +80,7 @@ def _is_direct(call):
         modes = [str(v.value) for v in values if isinstance(v, ast.Constant)]
         return any(len(mode) <= 3 and set(mode) & set("wax+") for mode in modes)
     if owner is None:  # of ours, or from a module that writes into memory
-        return False
+        return name == "patiently"  # which is given what renames
     first = getattr(call.args[0], "id", "other") if call.args else None
     if name in _OF_PATHS or name in _OF_MODULES.get(module, ()):
         return True
@@ -134,6 +134,7 @@ def test_files_are_written_through_one_door():
         "path.write_text(text)",
         "path.write_bytes(data)",
         "part.replace(path)",
+        "patiently(part.rename, path)",
         "np.save(path, normals)",
         "np.savez(path, **arrays)",
         "cv2.imwrite(str(path), picture)",
