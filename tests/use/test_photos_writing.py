@@ -101,6 +101,9 @@ def test_nothing_of_the_users_is_overwritten(tmp_path):
     with pytest.raises(InputError, match="got a file"):
         check_target(source / "normals.png", tmp_path)
     check_target(tmp_path / "new", source)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / ".DS_Store").write_bytes(b"\0")  # by the file manager
+    check_target(tmp_path / "empty", source)
 
 
 def test_srgb_and_shading_of_known_values():
