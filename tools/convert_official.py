@@ -5,7 +5,7 @@
 
 DIR holds UniPS' `*_enc.pytmodel`, `*_agg.pytmodel` and `*_pred.pytmodel` (torch state
 dicts). A `.pth` file is GCNet, PS-FCN or LCNet, known by its keys. The authors'
-licence applies to the result. Needs torch: `pip install '.[convert]'`.
+licence applies to the result. Needs torch: `pip install ".[convert]"`.
 """
 
 import argparse
