@@ -40,6 +40,8 @@ _RESULTS = frozenset(
     + [RECORD]
 )
 _MASK, _VIEW = "mask.png", "view.html"
+# What file managers leave in folders that look empty in them.
+_UNSEEN = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
 _EDITABLE = frozenset([_VIEW])  # readers save their notes into it
 _WITHOUT_NOTES = b'<script type="application/json" id="notes">{}</script>'
 # Names apart from the results': those may be as long as names can be.
@@ -182,7 +184,8 @@ def _check_target(target: Path, source: Path, record: str) -> None:
             f"{target}: expected a folder for the results, got a file; choose another "
             "-o"
         )
-    if there and any(place.iterdir()) and not (place / record).is_file():
+    others = there and {path.name for path in place.iterdir()} - _UNSEEN
+    if others and not (place / record).is_file():
         raise InputError(
             f"{target}: expected a new folder or one with earlier results "
             f"({record}), got one with other files; choose another -o"
