@@ -103,11 +103,12 @@ if (byId("compare")) {
   }
 }
 
-// Sheets: enlarged in a dialog, zoomed by the wheel, moved by dragging.
+// Sheets: enlarged in a dialog, zoomed by the wheel, fingers or keys, moved by dragging.
 const dialog = byId("zoom");
 if (dialog) {
   const image = dialog.querySelector("img");
-  let scale = 1, x = 0, y = 0, held = null;
+  let scale = 1, x = 0, y = 0;
+  const held = new Map(); // pointers that are down: id -> place
   const place = () => { image.style.transform = `translate(${x}px, ${y}px) scale(${scale})`; };
   const fit = () => {
     scale = Math.min(innerWidth / image.naturalWidth, innerHeight / image.naturalHeight);
@@ -123,24 +124,47 @@ if (dialog) {
       if (image.complete) fit();
     });
   }
+  const move = (right, down) => {
+    x += right;
+    y += down;
+    place();
+  };
+  const zoom = (factor, atX = innerWidth / 2, atY = innerHeight / 2) => {
+    scale *= factor;
+    move((atX - x) * (1 - factor), (atY - y) * (1 - factor));
+  };
   dialog.addEventListener("wheel", (event) => {
     event.preventDefault();
-    const factor = Math.exp(-event.deltaY / 400);
-    x = event.clientX - (event.clientX - x) * factor;
-    y = event.clientY - (event.clientY - y) * factor;
-    scale *= factor;
-    place();
+    zoom(Math.exp(-event.deltaY / 400), event.clientX, event.clientY);
   }, { passive: false });
   dialog.addEventListener("dblclick", fit);
+  dialog.addEventListener("keydown", (event) => {
+    const arrow = { ArrowRight: [-1, 0], ArrowLeft: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (arrow) move(40 * arrow[0], 40 * arrow[1]);
+    else if (event.key === "+" || event.key === "=") zoom(1.25);
+    else if (event.key === "-") zoom(0.8);
+    else if (event.key === "0") fit();
+    else return;
+    event.preventDefault();
+  });
   image.addEventListener("pointerdown", (event) => {
-    held = [event.clientX - x, event.clientY - y];
+    held.set(event.pointerId, [event.clientX, event.clientY]);
     image.setPointerCapture(event.pointerId);
   });
   image.addEventListener("pointermove", (event) => {
-    if (!held) return;
-    [x, y] = [event.clientX - held[0], event.clientY - held[1]];
-    place();
+    const before = held.get(event.pointerId);
+    if (!before) return;
+    const at = [event.clientX, event.clientY];
+    held.set(event.pointerId, at);
+    if (held.size === 1) return move(at[0] - before[0], at[1] - before[1]);
+    const [other] = [...held].filter(([id]) => id !== event.pointerId).map(([, point]) => point);
+    const distance = (point) => Math.hypot(point[0] - other[0], point[1] - other[1]) || 1;
+    zoom(distance(at) / distance(before), ...other);
   });
-  image.addEventListener("pointerup", () => { held = null; });
+  for (const name of ["pointerup", "pointercancel"]) {
+    image.addEventListener(name, (event) => held.delete(event.pointerId));
+  }
+  dialog.querySelector("button").addEventListener("click", () => dialog.close());
   dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
 }
