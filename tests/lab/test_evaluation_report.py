@@ -101,6 +101,44 @@ def test_report_is_drawn(work, tmp_path):
     assert np.ptp(imread(target)[..., 0]) > 0.5
 
 
+def test_a_sheet_is_enlarged_by_keys_and_fingers(work):
+    """On a phone, with a button that closes it."""
+    pytest.importorskip("selenium", reason="selenium is not installed")
+    import browser
+    from selenium.webdriver.support import wait
+
+    if browser.ABSENT:
+        pytest.skip("chromium or its driver is absent")
+    with browser.browser() as driver:
+        metrics = {"width": 375, "height": 667, "deviceScaleFactor": 1, "mobile": True}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        driver.get((work / "report.html").as_uri())
+        driver.find_element("css selector", ".sheet").send_keys("\n")
+        image = driver.find_element("css selector", "dialog img")
+
+        def width():
+            get = "return arguments[0].getBoundingClientRect().width"
+            return driver.execute_script(get, image)
+
+        def touch(kind, *places):
+            points = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(places)]
+            given = {"type": kind, "touchPoints": points}
+            driver.execute_cdp_cmd("Input.dispatchTouchEvent", given)
+
+        fitted = pytest.approx(375, abs=1)
+        wait.WebDriverWait(driver, 60).until(lambda _: width() == fitted)
+        touch("touchStart", (150, 333), (200, 333))
+        touch("touchMove", (100, 333), (200, 333))
+        touch("touchEnd")
+        assert width() == pytest.approx(750, rel=0.02)
+        driver.switch_to.active_element.send_keys("0")
+        assert width() == fitted
+        driver.switch_to.active_element.send_keys("+")
+        assert width() == pytest.approx(1.25 * 375, abs=1)
+        driver.find_element("css selector", "dialog button").click()
+        assert not image.is_displayed() and browser.messages(driver) == []
+
+
 def test_report_needs_nothing_else(work):
     html = (work / "report.html").read_text()
     links = re.findall(r'(?:src|href)="([^"]*)"', html)

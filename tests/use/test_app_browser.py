@@ -40,6 +40,7 @@ from app_page import (
 from browser import ABSENT, browser, pixels
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
 
 pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent")
 STATUS = "export-status"
@@ -184,6 +185,38 @@ def check_viewer(driver):
 
     until(driver, light_follows_the_pointer)  # a busy machine draws late
     driver.switch_to.default_content()
+
+
+def test_by_keys_alone(stand_in, photographs):
+    """The focus stays where one was, and a box has keys."""
+
+    def at():
+        return driver.switch_to.active_element
+
+    def on(selector, *keys):
+        focus = "document.querySelector(arguments[0]).focus()"
+        driver.execute_script(focus, selector)
+        ActionChains(driver).send_keys(*keys).perform()
+
+    with browser(1200, 1100) as driver:
+        open_page(driver, stand_in.with_key)
+        upload(driver, photographs)
+        until(driver, lambda: can_estimate(driver))
+        assert at().get_attribute("id") == "object-name"  # the home page is gone
+        on("#thumbnails .x", Keys.ENTER)
+        until(driver, lambda: "left out by you" in text(driver, "aside"))
+        assert at().accessible_name == f"Leave out {photographs[1].name}"
+        until(driver, lambda: can_estimate(driver))
+        on("[data-mask-tool=box]", " ")
+        on("#mask-canvas", Keys.LEFT * 18 + Keys.UP * 18, " ")
+        on("#mask-canvas", Keys.RIGHT * 36 + Keys.DOWN * 36, " ")
+        until(driver, lambda: "as found in the box" in text(driver, "mask-status"))
+        on("#object p a", Keys.ENTER)
+        until(driver, lambda: driver.find_elements(By.CSS_SELECTOR, "#list .x"))
+        on("#list .x", Keys.ENTER)
+        until(driver, lambda: "Removed" in text(driver, "message"))
+        ActionChains(driver).send_keys(Keys.ESCAPE).perform()
+        assert not shown(driver, "message") and complaints(driver) == []
 
 
 @pytest.mark.skipif(not SCREENSHOTS, reason="no pictures for docs/app.md are asked for")

@@ -327,6 +327,8 @@ def test_a_result_is_left_and_found_again(tmp_path):
         until(driver, lambda: shown(driver, "first-drop"))
         driver.execute_script(f"location.hash = '{keys[0]}'")
         until(driver, lambda: shown(driver, "done"))
+        announced = driver.find_element(By.ID, "announced")
+        assert announced.aria_role == "status" and announced.text == "cat: done"
         driver.switch_to.frame("viewer")
         ready = "return document.body?.dataset.ready"
         until(driver, lambda: driver.execute_script(ready) == "true")

@@ -31,6 +31,7 @@ from browser_page import (  # noqa: E402
     overlap,
     until,
 )
+from selenium.webdriver.common.keys import Keys  # noqa: E402
 from selenium.webdriver.support.ui import Select  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -182,6 +183,14 @@ READY = (
 )
 
 
+def by_keys(driver, tool, *keys):
+    """Chooses a tool, and presses keys on the photograph."""
+    button = driver.find_element("css selector", f"[data-tool={tool}]")
+    if button.get_attribute("aria-pressed") != "true":
+        button.send_keys(Keys.ENTER)
+    driver.find_element("id", "photograph").send_keys(*keys)
+
+
 def test_mask_viewer_and_reload(small, driver, tmp_path):
     page, _ = small
     images, truth = photographs(3, **HARD["wood"], count=3)
@@ -198,6 +207,12 @@ def test_mask_viewer_and_reload(small, driver, tmp_path):
         assert painted[8:12, 10:40].all() and (painted != found).sum() < 1000
         driver.find_element("id", "undo").click()
         np.testing.assert_array_equal(mask_of(driver, truth.shape), found)
+        by_keys(driver, "erase", Keys.RIGHT, " ", Keys.SHIFT, Keys.DOWN * 4)
+        erased = found & ~mask_of(driver, truth.shape)
+        rows, columns = (np.ptp(np.flatnonzero(erased.any(axis=x))) for x in (1, 0))
+        assert rows > 1.5 * columns > 0
+        by_keys(driver, "erase", "zzzzz")
+        np.testing.assert_array_equal(mask_of(driver, truth.shape), found)
         # A box: nothing outside it.
         rows, columns = (np.flatnonzero(truth.any(axis=axis)) for axis in (1, 0))
         driver.execute_script("document.getElementById('status').textContent = ''")
@@ -205,10 +220,16 @@ def test_mask_viewer_and_reload(small, driver, tmp_path):
         drag(driver, "box", (columns[0] - 6, rows[0] - 6), corner)
         until(driver, f"return /object was found|stands out/.test({STATUS})")
         assert overlap(mask_of(driver, truth.shape), truth) > 0.9
+        driver.execute_script("document.getElementById('status').textContent = ''")
+        by_keys(driver, "box", *(Keys.LEFT + Keys.UP) * 12, " ")
+        by_keys(driver, "box", *(Keys.RIGHT + Keys.DOWN) * 24, " ")
+        until(driver, f"return /object was found|stands out/.test({STATUS})")
+        assert overlap(mask_of(driver, truth.shape), truth) > 0.9
         # The viewer at the end, with a surface that turns.
         driver.execute_script("document.getElementById('side').value = '0'")
         driver.find_element("id", "estimate").click()
         until(driver, f"return {READY} && /^done/.test({STATUS})")
+        assert driver.switch_to.active_element.get_attribute("id") == "work"
         driver.switch_to.frame("viewer")
         driver.find_element("css selector", "[data-mode=surface]").click()
         until(driver, "return !document.getElementById('turning').hidden")
@@ -256,7 +277,8 @@ def test_turned_and_unreadable_photographs(small, driver, tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6  # a quarter to the right
     Image.fromarray(pixels).save(tmp_path / "turned.jpg", exif=exif, quality=95)
-    (tmp_path / "phone.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(200))
+    unreadable = tmp_path / f"{'my' * 50}phone.heic"
+    unreadable.write_bytes(b"\0\0\0\x18ftypheic" + bytes(200))
     with opened(driver, page):
         choose(driver, [tmp_path / "turned.jpg"])
         width, height, *values = driver.execute_script(
@@ -266,9 +288,14 @@ def test_turned_and_unreadable_photographs(small, driver, tmp_path):
         assert (width, height) == (24, 36)
         values = np.reshape(values, (36, 24, 3))
         assert values[:10, 17:].min() > 200 and values[:, :14].max() < 50
-        said = choose(driver, [tmp_path / "phone.heic"])
+        said = choose(driver, [unreadable])
         assert "phone.heic: expected an image that this browser reads" in said
         assert "Safari" in said
+        metrics = {"width": 320, "height": 568, "deviceScaleFactor": 1, "mobile": True}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        wide = driver.execute_script("return document.scrollingElement.scrollWidth")
+        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        assert wide == 320
 
 
 def test_the_page_is_small(small):

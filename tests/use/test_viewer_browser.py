@@ -186,6 +186,24 @@ def test_keys_move_the_light_and_zoom(page):
     )
 
 
+def test_a_magnified_picture_is_moved_by_keys(page):
+    stage = element(page, "stage")
+    stage.send_keys("+" * 8)
+    before = drawn(page)[20:-20, 60:-20]
+    stage.send_keys(Keys.SHIFT + Keys.ARROW_RIGHT)
+    np.testing.assert_allclose(drawn(page)[20:-20, 20:-60], before, atol=3)
+    # The cross of a tool stays in sight.
+    press(page, "[data-tool=note]")
+    stage.send_keys(*[Keys.SHIFT + Keys.ARROW_RIGHT] * 3, Keys.ENTER)
+    drawn(page)
+    pin = page.find_element(By.CSS_SELECTOR, "#overlay path").rect
+    box = stage.rect
+    assert box["x"] < pin["x"] < box["x"] + box["width"]
+    # Where a note is removed, the focus is not lost.
+    press(page, "#notes-list li button:last-child")
+    assert page.switch_to.active_element.get_attribute("id") == "add-view"
+
+
 def test_fingers_move_the_light_and_zoom(page):
     box = element(page, "stage").rect
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -226,19 +244,26 @@ def test_all_controls_have_names_in_both_languages(page):
 
 
 def test_it_fits_a_telephone(page):
-    page.set_window_size(500, 900)
+    press(page, "#add-view")
+    metrics = {"width": 320, "height": 568, "deviceScaleFactor": 1, "mobile": True}
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     try:
         width = "return document.documentElement.scrollWidth - innerWidth"
         assert page.execute_script(width) <= 0
+        settings = element(page, "settings")
+        assert settings.get_property("scrollWidth") <= settings.size["width"]
         assert element(page, "stage").size["height"] > 300
     finally:
-        page.set_window_size(1200, 800)
+        page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def test_without_webgl_the_normals_are_shown(address):
     with browser(arguments=["--disable-3d-apis"]) as driver:
-        driver.get(address)
+        driver.get(f"{address}#de")
         failure = driver.find_element(By.ID, "failure")
         WebDriverWait(driver, 300).until(lambda _: failure.is_displayed())
         assert "WebGL 2" in failure.text
         assert driver.find_element(By.CSS_SELECTOR, "#stage img").is_displayed()
+        controls = driver.find_elements(By.CSS_SELECTOR, "button, select, input")
+        assert not any(control.is_displayed() for control in controls)
+        assert driver.find_element(By.TAG_NAME, "summary").text.startswith("Über")

@@ -2,6 +2,7 @@
 import { paint } from "./mask.js";
 
 const MOST_UNDONE = 12;
+const ARROWS = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class Editor {
   // `onBox(left, top, right, bottom)` is called with places in pixels.
@@ -11,6 +12,8 @@ export class Editor {
     canvas.onpointermove = (event) => this.#move(event);
     canvas.onpointerup = (event) => this.#up(event);
     canvas.onpointercancel = () => this.#cancel();
+    canvas.onkeydown = (event) => this.#key(event);
+    canvas.onblur = () => this.#forgetCursor();
   }
 
   // `picture` is RGB of [h, w, 3], 0 to 255; `mask` [h, w] is changed in place.
@@ -23,6 +26,7 @@ export class Editor {
 
   choose(tool) {
     this.tool = tool;
+    this.#forgetCursor();
     this.canvas.classList.toggle("idle", tool === null);
   }
 
@@ -75,6 +79,8 @@ export class Editor {
   #down(event) {
     if (!this.tool || !event.isPrimary || event.button) return;
     event.preventDefault();
+    this.canvas.focus({ preventScroll: true }); // keys go on from here
+    this.#forgetCursor();
     this.canvas.setPointerCapture(event.pointerId);
     this.from = this.start = this.#place(event);
     if (this.tool !== "box") {
@@ -86,19 +92,29 @@ export class Editor {
   #move(event) {
     if (!this.from || !event.isPrimary) return;
     const place = this.#place(event);
-    if (this.tool === "box") {
-      this.draw();
-      const context = this.canvas.getContext("2d");
-      context.lineWidth = Math.max(2, this.width / 300);
-      context.strokeStyle = "#ffb000";
-      const [x, y] = this.start;
-      context.strokeRect(x, y, place[0] - x, place[1] - y);
-    } else this.#stroke(place);
+    if (this.tool === "box") this.#frame(this.start, place);
+    else this.#stroke(place);
     this.from = place;
   }
 
+  #frame([x, y], to) {
+    this.draw();
+    this.#pen().strokeRect(x, y, to[0] - x, to[1] - y);
+  }
+
+  #pen() {
+    const context = this.canvas.getContext("2d");
+    context.lineWidth = Math.max(2, this.width / 300);
+    context.strokeStyle = "#ffb000";
+    return context;
+  }
+
+  get #radius() {
+    return Math.max(1, this.brush * Math.max(this.width, this.height));
+  }
+
   #stroke(to) {
-    const radius = Math.max(1, this.brush * Math.max(this.width, this.height));
+    const radius = this.#radius;
     const [a, b] = [this.from, to];
     paint(this.mask, this.width, this.height, a, b, radius, this.tool === "paint" ? 1 : 0);
     const low = (axis) => Math.min(a[axis], b[axis]) - radius - 1;
@@ -108,15 +124,50 @@ export class Editor {
 
   #up(event) {
     if (!this.from) return;
-    const [[x0, y0], [x1, y1]] = [this.start, this.#place(event)];
     this.from = null;
     if (this.tool !== "box") this.onChange();
-    else {
-      this.draw();
-      const [left, right] = [Math.max(0, Math.min(x0, x1)), Math.min(this.width, Math.max(x0, x1))];
-      const [top, bottom] = [Math.max(0, Math.min(y0, y1)), Math.min(this.height, Math.max(y0, y1))];
-      if (right - left > 8 && bottom - top > 8) this.onBox(left, top, right, bottom);
-    }
+    else this.#endBox(this.start, this.#place(event));
+  }
+
+  #endBox([x0, y0], [x1, y1]) {
+    this.draw();
+    const [left, right] = [Math.max(0, Math.min(x0, x1)), Math.min(this.width, Math.max(x0, x1))];
+    const [top, bottom] = [Math.max(0, Math.min(y0, y1)), Math.min(this.height, Math.max(y0, y1))];
+    if (right - left > 8 && bottom - top > 8) this.onBox(left, top, right, bottom);
+  }
+
+  // Arrows move a cursor, with Shift they paint; the space bar dabs, or sets a corner.
+  #key(event) {
+    const arrow = ARROWS[event.key];
+    const sets = event.key === " ";
+    if (event.key === "z") this.undo();
+    if (!this.tool || this.from || !(arrow || sets || event.key === "Escape")) return;
+    event.preventDefault();
+    const limits = [this.width, this.height];
+    const before = this.cursor ?? limits.map((most) => most / 2);
+    const step = (arrow ?? [0, 0]).map((sign) => sign * this.#radius);
+    const at = before.map((value, axis) => Math.min(Math.max(value + step[axis], 0), limits[axis]));
+    const { corner } = this;
+    if (this.tool !== "box" && (sets || (arrow && event.shiftKey))) {
+      if (!event.repeat) this.remember();
+      this.from = before;
+      this.#stroke(at);
+      this.from = null;
+      this.onChange();
+    } else if (sets || !arrow) this.corner = sets && !corner ? at : null;
+    this.cursor = at;
+    this.#frame(this.corner ?? at, at);
+    const pen = this.#pen();
+    pen.beginPath();
+    pen.arc(...at, this.tool === "box" ? 3 * pen.lineWidth : this.#radius, 0, 2 * Math.PI);
+    pen.stroke();
+    if (sets && corner) this.#endBox(corner, at);
+  }
+
+  #forgetCursor() {
+    if (!this.cursor) return;
+    this.cursor = this.corner = null;
+    this.draw();
   }
 
   #cancel() {

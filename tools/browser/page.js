@@ -1,12 +1,11 @@
 // The page: files in, a mask, a lit surface out. All of it stays in this browser.
-import { encode } from "fast-png";
 import { Editor } from "./editor.js";
 import { forget, keep, recall, stayAwake } from "./keep.js";
 import { isOnlyShine, meanPicture, resize } from "./mask.js";
 import {
   brightestOfAll, filesOf, leaveOut, linearImages, maskOf, readFile, requireAlike, requireMaskFits,
 } from "./photographs.js";
-import { viewerPage } from "./surface.js";
+import { normalsPng, viewerPage } from "./surface.js";
 import { current, offer, Refusal, t } from "./text.js";
 
 const MOST_VALUES = 3e8; // numbers of all photographs: more does not fit a browser
@@ -83,6 +82,8 @@ async function show(maskFile, mask) {
   for (const id of ["drop", "result"]) $(id).hidden = true;
   $("normals").hidden = true;
   $("work").hidden = false;
+  $("work").style.setProperty("--shape", width / height);
+  refocus("work");
   editor.show(picture(), state.mask, width, height);
   const count = () => t("count", { n: state.photographs.length, width, height });
   if (mask || maskFile) say(() => t("ready", { count: count() }));
@@ -242,6 +243,7 @@ async function estimate(known = null) {
     const { normals, seconds, threads } = await ask(message, "normals", (data) => {
       if (data.total) {
         const share = data.done / data.total;
+        $("status").ariaLive = share < 1 ? "off" : "polite"; // no number is read aloud
         const percent = Math.round(100 * share);
         $("progress").value = share;
         from ??= [performance.now(), share]; // what came before says nothing of the rest
@@ -278,25 +280,25 @@ async function showResult() {
   // Here in the page's language, saved in the one of whoever opens it.
   $("viewer").srcdoc = state.page.replace('"language":null', `"language":"${current()}"`);
   $("result").hidden = false;
-  $("result").scrollIntoView({ behavior: "smooth" });
+  $("result").scrollIntoView();
   return true;
+}
+
+// Where what had the focus is hidden now, this has it.
+function refocus(id) {
+  const active = document.activeElement;
+  if (active === document.body || active.closest("[hidden]")) $(id).focus({ preventScroll: true });
 }
 
 function busy(now) {
   stayAwake(now);
+  $("status").ariaLive = "polite";
   $("estimate").hidden = now;
   $("cancel").hidden = !now;
+  refocus("work");
   $("progress").hidden = !now;
   $("progress").value = 0;
   $("download").hidden = now || !state.result;
-}
-
-// 16 bits, as `unips estimate` writes it: (n + 1) / 2 of full scale, green is up.
-function normalsPng() {
-  const { normals, width, height } = state.result;
-  const data = Uint16Array.from(normals, (n) =>
-    Math.min(65535, Math.floor(n * 32767.5 + 32768)));
-  return encode({ width, height, data, depth: 16, channels: 3 });
 }
 
 function save(name, content, type) {
@@ -354,7 +356,7 @@ $("restart").onclick = async () => {
   await startOver();
   say(() => "");
 };
-$("download").onclick = () => save("normals.png", normalsPng(), "image/png");
+$("download").onclick = () => save("normals.png", normalsPng(state.result), "image/png");
 $("save").onclick = () => save("surface.html", state.page, "text/html");
 
 async function startOver() {
@@ -362,6 +364,7 @@ async function startOver() {
   Object.assign(state, { photographs: [], files: [], mask: null, result: null });
   for (const id of ["work", "result", "download"]) $(id).hidden = true;
   $("drop").hidden = false;
+  refocus("choose");
 }
 
 // What a phone closed with its screen, or a reload: taken up again.
@@ -405,4 +408,4 @@ addEventListener("pageshow", (event) => {
   if (event.persisted && !crossOriginIsolated) location.reload();
 });
 // For tests, and for those who look into pages.
-window.unips = { state, normalsPng, editor };
+window.unips = { state, normalsPng: () => normalsPng(state.result), editor };

@@ -33,6 +33,13 @@ export function depthOf(normals, w, h) {
   return solve(normals, w, h, start);
 }
 
+// 16 bits, as `unips estimate` writes it: (n + 1) / 2 of full scale, green is up.
+export function normalsPng({ normals, width, height }) {
+  const data = Uint16Array.from(normals, (n) =>
+    Math.min(65535, Math.floor(n * 32767.5 + 32768)));
+  return encode({ width, height, data, depth: 16, channels: 3 });
+}
+
 // Only pixels that are there take part: an object fills a fraction of its picture.
 function solve(normals, w, h, start) {
   const { places, joined, weight, right, diagonal } = equations(normals, w, h);

@@ -9,12 +9,16 @@ export function el(tag, properties = {}, ...children) {
   return element;
 }
 
-/** Replaces an element's children, unless what they show is the same. */
+/** Replaces an element's children, unless what they show is the same; the focus stays in
+ * its place. */
 export function fill(element, key, children) {
   const text = JSON.stringify(key);
   if (element.dataset.key === text) return;
   element.dataset.key = text;
+  const controls = () => [...element.querySelectorAll("a, button")];
+  const at = controls().indexOf(document.activeElement);
   element.replaceChildren(...children());
+  if (at >= 0) controls()[Math.min(at, controls().length - 1)]?.focus({ preventScroll: true });
 }
 
 export function message(text, button, action) {
@@ -29,5 +33,7 @@ export function message(text, button, action) {
   };
   bar.hidden = !text;
   clearTimeout(message.timer);
-  message.timer = setTimeout(() => (bar.hidden = true), 12000);
+  // By keys the way to its button takes longer.
+  const byKeys = button && document.querySelector(":focus-visible");
+  if (!byKeys) message.timer = setTimeout(() => (bar.hidden = true), 12000);
 }

@@ -9,7 +9,7 @@ let shown = null; // the id of the object whose result it is
 const buttons = () => [...document.querySelectorAll("[data-export]")];
 
 export function build() {
-  for (const button of buttons()) button.addEventListener("click", () => make(button.dataset.export));
+  for (const button of buttons()) button.addEventListener("click", () => make(button));
 }
 
 export function show(object) {
@@ -26,7 +26,8 @@ function say(text, problem = false) {
   byId("export-status").classList.toggle("problem", problem);
 }
 
-async function make(purpose) {
+async function make(pressed) {
+  const purpose = pressed.dataset.export;
   const id = shown;
   const field = byId("longest");
   const given = field.value.trim();
@@ -43,6 +44,7 @@ async function make(purpose) {
     if (id === shown) say(problem.message, true);
   } finally {
     for (const button of buttons()) button.disabled = false;
+    if (document.activeElement === document.body) pressed.focus({ preventScroll: true });
   }
   return undefined;
 }

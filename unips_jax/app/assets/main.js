@@ -73,6 +73,14 @@ async function askObject(id) {
   remember(id);
   showObject();
   if (before?.id === id && before.state !== object.state) window.scrollTo({ top: 0 });
+  if (before?.id !== id || stepOf(before.state) !== stepOf(object.state)) refocus("object");
+}
+
+/** Where what had the focus is gone, the heading has it: a screen reader goes on there. */
+function refocus(part) {
+  const active = document.activeElement;
+  const lost = active === document.body || active.closest("[hidden]");
+  if (lost && document.body.dataset.ready) byId(part).querySelector("h1").focus({ preventScroll: true });
 }
 
 function showObject() {
@@ -81,8 +89,9 @@ function showObject() {
   byId("object").hidden = false;
   for (const name of STEPS) byId(name).hidden = name !== step;
   byId("object-name").textContent = object.name;
-  byId("object-name").hidden = step === "draft";
+  byId("object-name").classList.toggle("unseen", step === "draft");
   document.title = `${object.name} · unips`;
+  if (step !== "running") byId("announced").textContent = step === "done" ? `${object.name}: ${t("state_done")}` : "";
   if (step === "draft") draft.show(object);
   else draft.leave();
   if (step === "running") result.showRunning(object);
@@ -96,6 +105,8 @@ function showHome() {
   byId("home").hidden = false;
   byId("object").hidden = true;
   document.title = t("title");
+  byId("announced").textContent = "";
+  refocus("home");
 }
 
 function showList({ objects }) {
@@ -185,6 +196,7 @@ route();
 window.addEventListener("hashchange", route);
 document.addEventListener("visibilitychange", () => document.hidden || poll());
 window.addEventListener("online", poll);
+window.addEventListener("keydown", (event) => event.key === "Escape" && message(""));
 // A file dropped beside its place would replace the page.
 for (const kind of ["dragover", "drop"]) window.addEventListener(kind, (event) => event.preventDefault());
 window.addEventListener("beforeunload", (event) => {

@@ -14,6 +14,7 @@ const pixelsOf = (c) => c.getContext("2d", { willReadFrequently: true });
 const tell = (text) => (byId("mask-status").textContent = text);
 
 let canvas, context, picture, mask, tool, history, cursor, stroke;
+let byKeys = false; // who moves the cursor
 let address = null; // of the object whose mask this is
 let inside = 0; // pixels
 let changes = 0; // that the server doesn't have yet
@@ -190,6 +191,7 @@ async function send() {
 
 function choose(name) {
   tool = name;
+  stroke = null;
   for (const button of document.querySelectorAll("[data-mask-tool]")) {
     button.setAttribute("aria-pressed", String(button.dataset.maskTool === name));
   }
@@ -221,10 +223,11 @@ function draw() {
     context.setLineDash([8, 5]);
     context.strokeRect(...rectangle());
   }
-  if (cursor && (tool === "add" || tool === "erase")) {
+  const paints = tool === "add" || tool === "erase";
+  if (cursor && (paints || byKeys)) {
     context.setLineDash([]);
     context.beginPath();
-    context.arc(...cursor, brush() / 2, 0, 2 * Math.PI);
+    context.arc(...cursor, paints ? brush() / 2 : 3 * context.lineWidth, 0, 2 * Math.PI);
     context.stroke();
   }
 }
@@ -273,6 +276,13 @@ async function cut() {
   else await find("cut", { box: [x, y, x + w, y + h] }, t("box_found"));
 }
 
+async function endBox() {
+  const cutting = cut();
+  stroke = null;
+  draw();
+  await cutting;
+}
+
 /** Takes or drops the piece at a place; the server must have the mask for that. */
 async function piece(at) {
   changes += 1;
@@ -308,6 +318,7 @@ function listen() {
   canvas.addEventListener("pointermove", (event) => {
     if (!event.isPrimary) return;
     cursor = place(event);
+    byKeys = false;
     if (stroke) {
       if (tool !== "box") paint(stroke.to, cursor);
       stroke.to = cursor;
@@ -321,12 +332,8 @@ function listen() {
   });
   canvas.addEventListener("pointerup", async (event) => {
     if (!stroke || !event.isPrimary) return;
-    if (tool === "box") {
-      const cutting = cut();
-      stroke = null;
-      draw();
-      await cutting;
-    } else {
+    if (tool === "box") await endBox();
+    else {
       stroke = null;
       edited();
     }
@@ -350,16 +357,22 @@ function keys(event) {
   const arrow = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
   const paints = tool === "add" || tool === "erase";
   cursor ??= [canvas.width / 2, canvas.height / 2];
+  byKeys = true;
   const before = [...cursor];
   if (arrow) {
     const limits = [canvas.width, canvas.height];
     cursor = cursor.map((value, axis) => Math.min(Math.max(value + (arrow[axis] * brush()) / 2, 0), limits[axis]));
+    if (stroke) stroke.to = cursor;
     if (event.shiftKey && paints) {
       if (!event.repeat) remember();
       paint(before, cursor);
       edited();
     }
-  } else if (event.key === " " && tool === "piece") piece(cursor);
+  } else if (event.key === " " && tool === "box") {
+    if (stroke) endBox();
+    else stroke = { from: cursor, to: cursor };
+  } else if (event.key === "Escape" && stroke) stroke = null;
+  else if (event.key === " " && tool === "piece") piece(cursor);
   else if (event.key === " " && paints) {
     remember();
     paint(cursor, cursor);

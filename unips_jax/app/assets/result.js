@@ -25,9 +25,8 @@ export function showRunning(object) {
   const bar = byId("share");
   const picture = `/api/objects/${object.id}/pictures/picture.jpg`;
   if (!byId("running-picture").src.endsWith(picture)) byId("running-picture").src = picture;
-  if (object.state === "waiting") {
-    stage.textContent = object.ahead ? t("stage_waiting", { n: object.ahead }) : t("stage_next");
-  } else stage.textContent = t(`stage_${object.phase}`, { percent: Math.floor(100 * object.share) });
+  stage.textContent = stageOf(object, 100);
+  byId("announced").textContent = stageOf(object, 4); // in quarters: not without end
   if (object.phase === "normals") bar.value = object.share;
   else bar.removeAttribute("value");
   byId("left").textContent = object.left ? t("left", { time: duration(object.left) }) : "";
@@ -37,6 +36,12 @@ export function showRunning(object) {
     const source = `/api/objects/${object.id}/pictures/preview.png?${object.time}`;
     if (!preview.src.endsWith(source)) preview.src = source;
   }
+}
+
+/** What is done now, with the share that is done in so many steps. */
+function stageOf(object, steps) {
+  if (object.state === "waiting") return object.ahead ? t("stage_waiting", { n: object.ahead }) : t("stage_next");
+  return t(`stage_${object.phase}`, { percent: Math.floor(steps * object.share) * (100 / steps) });
 }
 
 export function showEnded(object) {

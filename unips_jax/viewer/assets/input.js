@@ -90,6 +90,7 @@ function listen(element, stage, light, measure, stopTurning) {
 
   function moveByKey([right, up], shift) {
     if (measure.active) measure.moveCross((shift ? 10 : 1) * right, (shift ? -10 : -1) * up);
+    else if (stage.mode === "picture" && shift) pan([40 * right, -40 * up], [0, 0]);
     else if (stage.mode === "surface" && !shift) stage.turnBy(5 * right, 5 * up);
     else light.nudge(5 * right, 5 * up);
   }

@@ -302,6 +302,10 @@ function fail(error) {
   const context = document.createElement("canvas").getContext("webgl2");
   byId("failure").textContent = context ? say("broken", error.message) : say("no_webgl");
   byId("failure").hidden = false;
+  texts([]);
+  // What would do nothing now.
+  const idle = "header label, .bar, #divider, .tag, #settings > :not(details)";
+  for (const element of document.querySelectorAll(idle)) element.hidden = true;
   byId("canvas").replaceWith(Object.assign(new Image(), { src: data.normals, alt: say("layer_normals") }));
 }
 

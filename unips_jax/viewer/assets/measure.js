@@ -77,7 +77,7 @@ class Measure {
       Math.min(Math.max(this.cross[axis] + step, 0), limits[axis] - 1)
     );
     this.showCross = true;
-    this.stage.changed();
+    this.stage.reveal(...this.cross);
   }
 
   /** Mean of the 3 x 3 normals around a point, a unit vector; null off the surface. */

@@ -63,6 +63,8 @@ class Notes {
       drop.addEventListener("click", () => {
         items.splice(items.indexOf(item), 1);
         this.changed();
+        const next = element.children[Math.min(index, items.length - 1)];
+        (next?.lastElementChild ?? byId("add-view")).focus(); // not lost with the row
       });
       input.addEventListener("input", () => {
         item[field] = input.value;

@@ -172,6 +172,16 @@ class Stage {
     this.changed();
   }
 
+  /** Moves the view as far as it takes to see a place of the picture. */
+  reveal(column, row) {
+    const steps = [column, row].map((value, axis) => {
+      const half = Math.max(0, this.size[axis] / 2 / this.magnification - 1);
+      const away = value + 0.5 - this.center[axis];
+      return away - Math.min(Math.max(away, -half), half);
+    });
+    this.moveBy(...steps);
+  }
+
   /** Turns the surface by angles in degrees. */
   turnBy(around, over) {
     const offset = this.camera.position.clone().sub(this.controls.target);
