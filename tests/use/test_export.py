@@ -74,7 +74,7 @@ def test_onnx_gives_the_same_normals(config, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         found = {}
         exec(documented("onnxruntime in Python"), found)
-        np.testing.assert_allclose(found["normals"], expected, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(found["normals"], expected, rtol=1e-4, atol=5e-5)
     model = onnx.load(out / "encoder.onnx")
     (entry,) = model.metadata_props
     told = json.loads(entry.value)

@@ -154,6 +154,15 @@ def _split(graph: "Graph", equation: Any, inputs: list["Value"]) -> list["Tensor
     return graph.nodes("Split", [x, sizes], results, axis=params["axis"])
 
 
+def _unstack(graph: "Graph", equation: Any, inputs: list["Value"]) -> list["Value"]:
+    (x,), axis = whole_inputs(graph, equation, inputs), equation.params["axis"]
+    results = [(v.aval.shape, v.aval.dtype) for v in equation.outvars]
+    sizes = np.ones(len(results), np.int64)
+    slices = [((*s[:axis], 1, *s[axis:]), dtype) for s, dtype in results]
+    parts = graph.nodes("Split", [x, sizes], slices, axis=axis)
+    return [graph.reshape(p, s) for p, (s, _) in zip(parts, results, strict=True)]
+
+
 def _iota(graph: "Graph", equation: Any, inputs: list["Value"]) -> "Value":
     shape, axis = equation.params["shape"], equation.params["dimension"]
     size = graph.reshape(graph.dim(shape[axis]), ())
@@ -260,6 +269,7 @@ OPERATORS |= {"clamp": _clamp, "reshape": _reshape, "squeeze": _squeeze, "rev": 
 OPERATORS |= {"expand_dims": _expand_dims, "transpose": _transpose, "slice": cut}
 OPERATORS |= {"broadcast_in_dim": _broadcast_in_dim, "pad": pad, "split": _split}
 OPERATORS |= {"concatenate": _concatenate, "stack": _stack, "iota": _iota}
+OPERATORS["unstack"] = _unstack
 OPERATORS |= {"dim_as_value": _dim_as_value, "argmax": _argmax, "gather": gather}
 OPERATORS |= {"reduce_sum": _reduction("ReduceSum"), "dot_general": _dot_general}
 OPERATORS |= dict.fromkeys(("reduce_max", "reduce_or"), _reduction("ReduceMax"))
