@@ -83,6 +83,13 @@ def test_surroundings_beside_the_lamp():
     assert even / lights.colors.mean() == pytest.approx(0.4 / COLORS.mean(), rel=0.25)
 
 
+def test_light_without_a_direction_comes_from_the_viewer():
+    guesses = DIRECTIONS * [[1], [0], [1], [1], [1]]
+    lights = estimate_lights(photographs(0.4), NORMALS, MASK, guesses=guesses)
+    np.testing.assert_array_equal(lights.directions[1], [0, 0, 1])
+    assert lights.directness[1] == 0 and np.isfinite(lights.harmonics).all()
+
+
 def test_stored_values_and_padding_do_not_matter():
     images = photographs()
     lights = estimate_lights(images, NORMALS, MASK)
@@ -122,6 +129,7 @@ def test_base_colour_without_highlights_and_seams(tmp_path, monkeypatch):
     truth = truth / np.square(texture()[MASK]).sum()
     error = np.abs(whole[MASK] / truth - 1)  # measured: 0.015 and 0.12
     assert np.median(error) < 0.04 and np.quantile(error, 0.9) < 0.16
+    assert np.quantile(whole[MASK].max(-1), 0.99) == pytest.approx(0.8, abs=0.01)
     monkeypatch.setattr("unips_jax.lighting.light_fit._STRIP", 7 * 5 * 40)
     np.testing.assert_allclose(base_color(images, NORMALS, MASK, lights), whole, 1e-6)
     write_base_color(tmp_path, whole)
@@ -205,6 +213,8 @@ def test_the_texture_map_relights_like_the_photographs(tmp_path):
     ptm.write_planes(tmp_path, fit)
     show, web = read_ptm(tmp_path / "relight.ptm"), read_planes(tmp_path)
     expected = ptm.equalised(images, "linear", lights, facts["white"])
+    bright = np.quantile(expected[:, MASK], 0.995)
+    assert bright == pytest.approx(srgb_encode(0.95), abs=0.01)
     error = []
     for image, (x, y, _) in zip(expected, lights.directions, strict=True):
         shown = show(x, y)
