@@ -183,6 +183,15 @@ def test_every_figure_is_a_row_of_one_table(work):
         found.compare("woodham", "phong")
 
 
+def test_figures_are_compared_view_by_view():
+    """Of a view that one method lacks nothing counts."""
+    rows = [("a", "1", 1.0), ("a", "2", 9.0), ("b", "1", 2.0)]
+    made = [("mine", "x", "sun", v, m, 4, -1, "mae_deg", e) for m, v, e in rows]
+    found = figures.Figures(*map(np.array, zip(*made, strict=True)))
+    pair = found.compare("a", "b")
+    assert (pair.mean, pair.other, pair.lower) == (1, 2, 1)
+
+
 def test_seeds_that_draw_the_same_are_computed_once(work):
     drawn = {tuple(choose_images(3, 4, seed=seed)) for seed in (0, 1, 2)}
     assert len(drawn) == 2  # of three of four images, two seeds drew the same
