@@ -103,6 +103,22 @@ def test_kernels_alone_decay(name):
     assert not np.any(updates["a"]["bias"]) and not np.any(updates["table"])
 
 
+@pytest.mark.parametrize("name", ["adamw", "muon"])
+def test_second_moments_of_biases_have_their_rate(name):
+    params, moves = {"bias": jnp.ones(1)}, []
+    for b2 in (0.5, 0.9):
+        config = OptimConfig(name=name, b2=b2, warmup_steps=0, clip_norm=0)
+        optimizer = make_optimizer(Config(optim=config, train=TrainConfig(steps=10)))
+        state = optimizer.init(params)
+        for gradient in (1.0, 0.1):
+            given = {"bias": jnp.full(1, gradient)}
+            updates, state = optimizer.update(given, state, params)
+        moves.append(float(updates["bias"][0]))
+    # The second one's mean square is (b2 + 0.01) / (1 + b2).
+    expected = ((0.91 / 1.9) / (0.51 / 1.5)) ** 0.5
+    assert moves[0] / moves[1] == pytest.approx(expected, rel=1e-4)
+
+
 def test_large_sets_have_fewer_pixels():
     data = DataConfig(num_pixels=200, max_tokens=1000)
     assert [data.pixels_for(n) for n in (2, 5, 8, 10, 2000)] == [200, 200, 125, 100, 1]
