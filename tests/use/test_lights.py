@@ -13,9 +13,11 @@ from unips_jax import estimate_lights
 from unips_jax.cli.estimate import main as estimate
 from unips_jax.errors import InputError
 from unips_jax.estimation import confidence
+from unips_jax.estimation.extras import write_confidence
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.io.color import srgb_encode
+from unips_jax.io.images import read_image
 from unips_jax.io.photographs import read_photographs, select
 from unips_jax.lighting import ptm
 from unips_jax.lighting.harmonics import COSINE_LOBE, harmonics
@@ -237,6 +239,45 @@ def test_halves_are_halves():
         assert sorted([*first, *second]) == list(range(7))
     with pytest.raises(InputError, match="expected 2 photographs or more, got 1"):
         confidence.normal_spread(None, np.ones((1, 4, 4, 3)), MASK, NORMALS)
+
+
+def test_spread_is_over_halves_of_which_every_second_is_mirrored(monkeypatch):
+    """Each half's normals are turned by 2, 4, 6 and 8 degrees about the vertical."""
+    mirror, given = np.float32([-1, 1, 1]), []
+
+    def estimate(network, images, mask, *, lights, **_):
+        index = len(given)
+        given.append((images, lights))
+        angle = np.deg2rad(2 * index + 2)
+        cos, sin = np.cos(angle), np.sin(angle)
+        turned = NORMALS @ np.float32([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
+        expected = MASK[:, ::-1] if index % 2 else MASK
+        np.testing.assert_array_equal(mask, expected)
+        return turned[:, ::-1] * mirror if index % 2 else turned
+
+    monkeypatch.setattr(confidence, "estimate_photographs", estimate)
+    images = photographs()
+    spread = confidence.normal_spread(None, images, MASK, NORMALS, lights=DIRECTIONS)
+    # About the vertical what faces sidewards turns as far as what faces the viewer.
+    middle = spread[20, MASK[20]]
+    np.testing.assert_allclose(middle, np.sqrt((4 + 16 + 36 + 64) / 4), atol=0.05)
+    assert not spread[~MASK].any()
+    for index, half in enumerate(confidence._halves(5, 2, 0)):
+        step = -1 if index % 2 else 1
+        seen, lights = given[index]
+        np.testing.assert_array_equal(seen, images[half][:, :, ::step])
+        np.testing.assert_allclose(lights, DIRECTIONS[half] * [step, 1, 1])
+
+
+def test_confidence_on_disk(tmp_path):
+    spread = np.float32([[0.001, 1.23, 14.9], [15.1, 90, 40]])
+    mask = np.array([[True, True, True], [True, True, False]])
+    facts = write_confidence(tmp_path, spread, mask)
+    levels = read_image(tmp_path / "confidence.png")[..., 0]
+    np.testing.assert_array_equal(levels, [[1, 123, 1490], [1510, 9000, 0]])
+    bad = read_image(tmp_path / "unreliable.png")[..., 0]
+    np.testing.assert_array_equal(bad, [[0, 0, 0], [255, 255, 0]])
+    assert facts["mean_deg"] == pytest.approx(spread[mask].mean())
 
 
 def test_all_is_everything():

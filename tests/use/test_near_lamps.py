@@ -103,7 +103,7 @@ def test_the_option_takes_the_depth_of_the_normals(tmp_path):
     off = lights.near.places[MASK] - PLACES[MASK]  # in widths
     assert np.abs(off[:, :2]).max() < 0.02
     assert np.std(off[:, 2]) < 0.01  # the middle's depth is where the median is
-    assert extras(options, lights).lights.near.distance == DISTANCE
+    assert extras(options, lights._replace(near=None)).lights.near.distance == DISTANCE
     record = {"images": [f"{index}.png" for index in range(5)]}
     estimate = Estimate(
         IMAGES, MASK, "linear", found.normals, record, None, Extras(lights)
