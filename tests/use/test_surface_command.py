@@ -63,10 +63,15 @@ def test_depth_in_millimetres(given, files, capsys):
 def test_mesh_with_the_photographs_colors(files):
     arguments = [str(files), "-o", str(files / "out"), "--mesh", "ply"]
     photo = ["--photograph", str(files / "photo.png"), "--mask"]
-    assert surface([*arguments, *photo, str(files / "mask.png")]) == 0
+    scale = ["--scale", "0.5", "--unit", "mm"]
+    assert surface([*arguments, *scale, *photo, str(files / "mask.png")]) == 0
     mesh = trimesh.load(files / "out" / "mesh.ply", process=False)
     red = mesh.visual.vertex_colors[:, 0] == 255
     assert np.array_equal(red, mesh.vertices[:, 1] > 0)
+    across, depth = np.ptp(mesh.vertices, axis=0)[[0, 2]]
+    columns = cv2.imread(str(files / "mask.png"), 0).any(axis=0).sum()
+    assert across == pytest.approx(0.5 * (columns - 1), abs=1.1)
+    assert depth == pytest.approx(0.5 * 21.6, abs=1.5)
 
 
 def test_depth_is_a_prior_of_the_next(files):
