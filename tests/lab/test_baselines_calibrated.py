@@ -219,3 +219,22 @@ def test_refusals():
         method(Observed(images[:-1], mask, lights=lights))
     with pytest.raises(ValueError, match="keep"):
         calibrated.woodham(keep=(0.8, 0.2))
+
+
+def test_lengths_of_directions_do_not_matter():
+    lights = lights_around(4)
+    longer = lights._replace(directions=lights.directions * [[1], [2], [0.5], [3]])
+    images, mask = np.ones((4, 2, 2, 3), np.float32), np.ones((2, 2), bool)
+    found, _ = calibrated.check_lights("woodham", Observed(images, mask, longer))
+    np.testing.assert_allclose(found, lights.directions, atol=1e-12)
+
+
+def test_ranks_begin_with_the_darkest():
+    """Of five values the two brightest are no matte shading."""
+    directions = lights_around(5).directions
+    normal = np.array([0.3, -0.2, 0.933])
+    values = directions @ normal
+    values[np.argsort(values)[-2:]] += 1
+    keep = {"keep": (0.0, 0.6), "shadow": None}
+    (found,) = pixels.map_pixels(calibrated._trimmed, values[None], directions, **keep)
+    np.testing.assert_allclose(found, normal, atol=1e-3)
