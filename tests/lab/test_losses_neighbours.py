@@ -116,21 +116,22 @@ def right_guess():
 
 
 def test_right_guesses_cost_nothing():
-    for value in light_losses(right_guess(), lamp()).values():
+    losses_of = jax.jit(light_losses)
+    for value in losses_of(right_guess(), lamp()).values():
         assert float(value) == pytest.approx(0, abs=1e-6)
     near = lamp(lamp_nearness=jnp.full((1, 1), 0.4))
-    assert light_losses(right_guess(), near)["lamps"] > 1
+    assert losses_of(right_guess(), near)["lamps"] > 1
     unknown = jnp.zeros((1, 1), bool)
     wrong = right_guess()._replace(distant=-right_guess().distant)
-    alone = light_losses(wrong, lamp())
+    alone = losses_of(wrong, lamp())
     assert alone["lamps"] > 0.9
-    assert light_losses(wrong, lamp(lamp_known=unknown))["lamps"] == 0
+    assert losses_of(wrong, lamp(lamp_known=unknown))["lamps"] == 0
     twice, two = (
         jax.tree.map(lambda x: jnp.concatenate([x, x], 1), x) for x in (wrong, lamp())
     )
     one = jnp.array([[True, False]])
     two = two._replace(lamp_known=one, harmonics_known=one)
-    for name, value in light_losses(twice, two).items():
+    for name, value in losses_of(twice, two).items():
         assert float(value) == pytest.approx(float(alone[name]))
 
 

@@ -8,7 +8,7 @@ from capture_checks import STRIPES, check, moved
 from plain_objects import lights, photographs
 
 from unips_jax.capture.motion import find_motion
-from unips_jax.capture.registration import register
+from unips_jax.capture.registration import _scaled, register
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -125,3 +125,16 @@ def test_registration_undoes_shifts_and_turns():
         assert after < share * before
     for index in (0, 1, 2, 4, 6, 7):
         np.testing.assert_array_equal(back[index], images[index])
+
+
+def test_maps_of_smaller_pictures_agree_at_the_middles_of_pixels():
+    matrix = np.array([[0.98, -0.1, 3.0], [0.1, 0.98, -7.0]])
+    small = _scaled(matrix, 0.25)
+    place = np.array([13.0, 40.0])
+
+    def reduced(place):
+        return 0.25 * (place + 0.5) - 0.5
+
+    np.testing.assert_allclose(
+        small @ [*reduced(place), 1], reduced(matrix @ [*place, 1])
+    )
