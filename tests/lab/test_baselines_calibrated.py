@@ -1,5 +1,7 @@
 """Calibrated photometric stereo on scenes whose normals are known exactly."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -219,3 +221,45 @@ def test_refusals():
         method(Observed(images[:-1], mask, lights=lights))
     with pytest.raises(ValueError, match="keep"):
         calibrated.woodham(keep=(0.8, 0.2))
+
+
+def test_lengths_of_directions_do_not_matter():
+    lights = lights_around(4)
+    longer = lights._replace(directions=lights.directions * [[1], [2], [0.5], [3]])
+    images, mask = np.ones((4, 2, 2, 3), np.float32), np.ones((2, 2), bool)
+    found, _ = calibrated.check_lights("woodham", Observed(images, mask, longer))
+    np.testing.assert_allclose(found, lights.directions, atol=1e-12)
+
+
+def test_ranks_begin_with_the_darkest():
+    """Of five values the two brightest are no matte shading."""
+    directions = lights_around(5).directions
+    normal = np.array([0.3, -0.2, 0.933])
+    values = directions @ normal
+    values[np.argsort(values)[-2:]] += 1
+    keep = {"keep": (0.0, 0.6), "shadow": None}
+    (found,) = pixels.map_pixels(calibrated._trimmed, values[None], directions, **keep)
+    np.testing.assert_allclose(found, normal, atol=1e-3)
+
+
+def test_absolute_residuals_are_least():
+    """The least have a solution that is exact for three of the values."""
+    rng = np.random.default_rng(1)
+    directions = lights_around(6).directions
+    values = directions @ rng.normal(size=(3, 20)) + 0.3 * rng.normal(size=(6, 20))
+    values /= np.abs(values).max(axis=0)
+    triples = [list(t) for t in itertools.combinations(range(6), 3)]
+    exact = [np.linalg.solve(directions[t], values[t]) for t in triples]
+    least = np.min([np.abs(values - directions @ x).sum(0) for x in exact], axis=0)
+    found = pixels.map_pixels(calibrated._l1, values.T, directions, iterations=50)
+    residuals = np.abs(values - directions @ found.T).sum(0)
+    np.testing.assert_allclose(residuals, least, rtol=0.02)
+
+
+def test_the_strongest_colour_decides():
+    normals, mask, _ = cap(9)
+    lights = lights_around(6)._replace(intensities=np.ones((6, 3)))
+    images = render(normals, np.array([0.02, 0.9, 0.02]), lights)
+    images[..., [0, 2]] += 0.05 * np.random.default_rng(0).random(images[..., :2].shape)
+    found = calibrated.woodham(colour="strongest")(Observed(images, mask, lights))
+    np.testing.assert_allclose(found, normals, atol=1e-4)

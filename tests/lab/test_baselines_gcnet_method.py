@@ -11,6 +11,7 @@ from unips_jax.baselines.gcnet import lights as gcnet_lights
 from unips_jax.baselines.gcnet import parameters as gcnet_weights
 from unips_jax.baselines.gcnet import pipeline as gcnet
 from unips_jax.baselines.method import Lights, Observed, Unsupported
+from unips_jax.evaluation.methods import _calibrated
 
 
 @pytest.fixture(scope="module")
@@ -166,3 +167,15 @@ def test_refusals(tmp_path, params):
     gcnet_weights.save_params(path, params["lcnet"], "lcnet")
     with pytest.raises(Unsupported, match="holds the weights of lcnet"):
         gcnet.gcnet(path, normals=calibrated.woodham())(Observed(images, mask))
+
+
+def test_woodham_after_a_network_does_not_clip():
+    """The scale of estimated lights is any."""
+    images, mask, directions = sphere()
+    dim, bright = (
+        _calibrated("gcnet", "woodham")(
+            Observed(images, mask, Lights(directions, np.full((5, 3), power)))
+        )
+        for power in (0.1, 10.0)
+    )
+    np.testing.assert_allclose(dim, bright, atol=1e-4)

@@ -7,8 +7,15 @@ from scipy.io import loadmat, savemat
 
 from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import open_benchmark, submission_bytes
+from unips_jax.evaluation.benchmarks.base import distant_lights
 from unips_jax.evaluation.benchmarks.luces import read_leds
 from unips_jax.io.selection import is_photograph
+
+
+def test_directions_of_lights_become_unit(tmp_path):
+    lights = distant_lights(np.array([[0, 3, 4.0], [0, 0, 0.1]]), None, tmp_path)
+    np.testing.assert_allclose(lights.directions, [[0, 0.6, 0.8], [0, 0, 1]])
+    np.testing.assert_array_equal(lights.intensities, np.ones((2, 3)))
 
 
 def test_diligent_gives_what_was_stored(tmp_path):

@@ -1,17 +1,23 @@
 """Batches from folders: the same whoever reads them, and few read ahead."""
 
+import contextlib
+import dataclasses
 import itertools
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from evaluation_data import encode16, to16, write_image
-from training_runs import write_objects
+from training_runs import CONFIG, write_objects
 
 from unips_jax.io.ps_wild import PSWildFolders, read_object
-from unips_jax.training import folders
+from unips_jax.training import batches, folders
+from unips_jax.training.sharding import make_mesh
 
 OPTIONS = {"size": 16, "batch_size": 4, "num_images": (2, 3), "seed": 5}
 
@@ -161,3 +167,42 @@ def test_photographs_are_drawn_anew_for_every_object_without_repetition(root):
     # Of 24 orders each.
     assert all(len(set(orders)) > 1 for orders in drawn)
     assert len(set(sum(drawn, []))) > 10
+
+
+def test_scenes_and_folders_mix_in_sets_of_all_sizes(root, monkeypatch):
+    """Scenes are made up here: one number each."""
+
+    def scenes(keys, *, size, num_images, **_):
+        shape = len(keys), num_images, size, size, 3
+        number = 2 + jax.vmap(jax.random.uniform)(keys)
+        images = jnp.broadcast_to(number[:, None, None, None, None], shape)
+        mask = jnp.ones(shape[:1] + shape[2:4], bool)
+        return SimpleNamespace(images=images, mask=mask, normals=images[:, 0])
+
+    monkeypatch.setattr(batches, "render_batch", scenes)
+    data = dataclasses.replace(
+        CONFIG.data,
+        **dict(source="mixture", root=str(root), scene_share=0.75),
+        **dict(batch_size=4, num_images=(2, 3), workers=0),
+    )
+    config = dataclasses.replace(CONFIG, data=data)
+
+    def made(first, count):
+        found = batches.make_batches(
+            config,
+            jax.random.key(0),
+            make_mesh(config.mesh),
+            first,
+            lambda what: contextlib.nullcontext(),
+        )
+        return [np.asarray(b["images"]) for b in itertools.islice(found, count)]
+
+    whole = made(0, 24)
+    drawn = [images for images in whole if images.min() >= 2]
+    assert 12 < len(drawn) < 24
+    numbers = {x for images in drawn for x in images[:, 0, 0, 0, 0]}
+    assert len(numbers) == 4 * len(drawn)  # every object is new
+    for kind in (drawn, [images for images in whole if images.min() < 2]):
+        assert {images.shape[1] for images in kind} == {2, 3}
+    for rest, images in zip(made(7, 5), whole[7:], strict=False):
+        np.testing.assert_array_equal(rest, images)

@@ -161,6 +161,9 @@ def test_a_bad_method_is_not_called_turned():
         mae = axes.errors_if_turned(normals, true, mask)
         known = float(axes.error_map(normals, true)[mask].mean())
         assert axes.find_turned([(known, mae)]) is None
+    # Nor where one of three objects alone is better, if much.
+    pairs = [(60.0, {"y=down": 5.0}), *[(10.0, {"y=down": 12.0})] * 2]
+    assert axes.find_turned(pairs) is None
 
 
 @pytest.mark.parametrize(

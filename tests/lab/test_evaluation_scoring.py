@@ -63,6 +63,29 @@ def test_crop_of_its_own_size_passes_unchanged():
     assert case.observed.focal == 50
 
 
+def test_a_pixel_of_the_crop_is_the_objects_if_half_of_it_is():
+    mask = np.zeros((16, 16), bool)
+    mask[4:12, 4:12] = True
+    mask[4, 4:6] = mask[5, 4] = False  # a quarter is left
+    mask[4, 10:12] = False  # a half
+    expected = np.zeros((8, 8), bool)
+    expected[2:6, 2:6] = True
+    expected[2, 2] = False
+    found = protocols.shown_mask(mask, Protocol("crop", 8))
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("protocol", [Protocol("native"), Protocol("crop", 8)])
+def test_chosen_images_have_their_own_lights(protocol):
+    lights = Lights(np.eye(3), np.arange(9.0).reshape(3, 3))
+    images = np.arange(3.0)[:, None, None, None] * np.ones((3, 12, 12, 3))
+    item = item_of(images, np.ones((12, 12), bool), lights=lights)
+    seen = protocols.show(item, protocol, [2, 0]).observed
+    assert [image.max() for image in seen.images] == [2, 0]
+    np.testing.assert_array_equal(seen.lights.directions, np.eye(3)[[2, 0]])
+    np.testing.assert_array_equal(seen.lights.intensities, [[6, 7, 8], [0, 1, 2]])
+
+
 def test_crop_averages_masked_pixels_alone():
     mask = np.zeros((16, 16), bool)
     mask[4:12, 4:12] = True

@@ -55,6 +55,8 @@ def test_an_interval_is_over_objects_not_entries():
     }
     assert statistics.interval(alone)[0] > statistics.interval(once)[0]
     assert statistics.interval({"a": [1.0], "b": [2.0]}) is None
+    uneven = {"a": [7.0] * 5, "b": [7.0], "c": [7.0]}
+    assert statistics.interval(uneven) == pytest.approx((7, 7))
 
 
 def test_an_interval_holds_the_mean_as_often_as_it_says():
@@ -85,6 +87,9 @@ def test_pairs_by_hand():
     six = {name: {name: 1.0} for name in "abcdef"}
     worse = {name: {name: 2.0} for name in "abcdef"}
     assert statistics.compare(six, worse).p == pytest.approx(2 / 2**6)
+    pair = statistics.compare(six, worse | {"f": {"f": 1.0}})  # of a tie, nothing
+    assert (pair.objects, pair.lower, pair.higher) == (6, 5, 0)
+    assert pair.p == pytest.approx(2 / 2**5)
     assert statistics.compare(first, {}) is None
 
 
@@ -106,6 +111,20 @@ def test_figures_are_means_over_seeds_and_their_deviation_is_said():
         ["sun/y", "sun"],
         ["sun/z", "sun"],
     ]
+
+
+def test_pairs_are_of_each_method_and_the_first():
+    errors = {
+        (label, name, "sun", None, None): mae
+        for label, own in (("ours", (5.0, 6, 7)), ("theirs", (8.0, 9, 4)))
+        for name, mae in zip("xyz", own, strict=True)
+    }
+    tables = {table.name: table for table in summary.tables(results_of(errors))}
+    (row,) = tables["pairs"].values
+    found = dict(zip(tables["pairs"].names, row, strict=True))
+    assert (found["Method"], found["Lower on"]) == ("theirs", "1 of 3")
+    expected = {"Mean": 7, "ours": 6, "Difference": 1, "From": -3, "To": 3}
+    assert {k: found[k] for k in expected} == pytest.approx(expected, abs=1e-4)
 
 
 def test_one_failed_subset_leaves_no_mean_over_the_others():
@@ -162,6 +181,15 @@ def test_every_figure_is_a_row_of_one_table(work):
         found.pick(light="sun")
     with pytest.raises(ValueError, match="share no mae_deg; there are woodham, const"):
         found.compare("woodham", "phong")
+
+
+def test_figures_are_compared_view_by_view():
+    """Of a view that one method lacks nothing counts."""
+    rows = [("a", "1", 1.0), ("a", "2", 9.0), ("b", "1", 2.0)]
+    made = [("mine", "x", "sun", v, m, 4, -1, "mae_deg", e) for m, v, e in rows]
+    found = figures.Figures(*map(np.array, zip(*made, strict=True)))
+    pair = found.compare("a", "b")
+    assert (pair.mean, pair.other, pair.lower) == (1, 2, 1)
 
 
 def test_seeds_that_draw_the_same_are_computed_once(work):

@@ -12,24 +12,24 @@ def score_of(mae, median, *view):
     return Score(sum(counts), mae, median, shares, (), counts, sums, 0, int(mae == 9))
 
 
+def result(entry, lighting, label, count, score, **rest):
+    tags = {"object": entry, "lighting": lighting, "category": entry[:1]}
+    given = {"measures": {}, "unsupported": "", **rest}
+    return runner.Result(
+        entry,
+        tags,
+        (),
+        label,
+        count,
+        2,
+        score,
+        **given,
+        name=f"{entry}-{label}-{count}",
+    )
+
+
 def test_tables_by_hand():
     """Three objects, the last under another light and without a truth."""
-
-    def result(entry, lighting, label, count, score, **rest):
-        tags = {"object": entry, "lighting": lighting, "category": entry[:1]}
-        given = {"measures": {}, "unsupported": "", **rest}
-        return runner.Result(
-            entry,
-            tags,
-            (),
-            label,
-            count,
-            2,
-            score,
-            **given,
-            name=f"{entry}-{label}-{count}",
-        )
-
     results = Results(
         "mine",
         "native",
@@ -100,3 +100,23 @@ def test_tables_by_hand():
         ["y", "a", "1 pixels without an estimate count as 90 degrees"],
         ["x2", "b", "too dark"],
     ]
+
+
+def test_the_best_are_the_lowest_error_and_the_largest_share():
+    """Among the methods that have all objects."""
+    made = [
+        result(name, "sun", label, None, mae and score_of(mae, mae, 1, 0, mae, 0))
+        for label, errors in (("a", (10, 12)), ("b", (4, 5)), ("c", (1, None)))
+        for name, mae in zip("xy", errors, strict=True)
+    ]
+    methods = dict.fromkeys("abc", "a method")
+    results = Results("mine", "native", methods, (None,), made)
+    table = next(t for t in summary.tables(results) if t.name == "summary")
+    best = {
+        row.cells[0].value: [
+            name for name, cell in zip(table.names, row.cells, strict=True) if cell.best
+        ]
+        for row in table.rows
+    }
+    shares = [name for name in table.names if name.startswith("%")]
+    assert best == {"a": shares, "b": ["sun", "Mean", "Median"], "c": []}

@@ -1,6 +1,7 @@
 """Losses that look at neighbours and at kinds of light."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -75,9 +76,21 @@ def test_whole_objects_have_the_same_error_in_blocks(monkeypatch):
     both = dataclasses.replace(BLOCKS, steepness_weight=1.0, differences_weight=0.1)
     weighed = run(both)
     assert weighed[1] == pytest.approx(plain[1], rel=1e-5)
-    assert weighed[0] > 1.05 * plain[0]
+    assert 1.05 * plain[0] < weighed[0] < 1.5 * plain[0]
     monkeypatch.setattr(losses, "CHUNK_TOKENS", 60)  # blocks by twos
     np.testing.assert_allclose(run(both), weighed, rtol=1e-5)
+
+
+def test_steep_pixels_count_more_in_the_loss_alone():
+    images, mask, normals, *_ = (x[0] for x in objects()[:3])
+    options = dataclasses.replace(BLOCKS, steepness_weight=2.0)
+    prepare = functools.partial(losses._prepare, config=SHALLOW_OURS, options=options)
+    found = jax.jit(prepare)(images, mask, normals, jax.random.key(0))
+    inside = found.weights > 0
+    steep = np.exp(2 * steepness(found.true, inside))[inside]
+    assert np.ptp(steep) > 0.5
+    np.testing.assert_allclose(found.counted[inside], steep / steep.sum(), rtol=1e-5)
+    np.testing.assert_allclose(found.weights[inside], 1 / inside.sum(), rtol=1e-5)
 
 
 def lamp(**fields):
@@ -103,14 +116,23 @@ def right_guess():
 
 
 def test_right_guesses_cost_nothing():
-    for value in light_losses(right_guess(), lamp()).values():
+    losses_of = jax.jit(light_losses)
+    for value in losses_of(right_guess(), lamp()).values():
         assert float(value) == pytest.approx(0, abs=1e-6)
     near = lamp(lamp_nearness=jnp.full((1, 1), 0.4))
-    assert light_losses(right_guess(), near)["lamps"] > 1
+    assert losses_of(right_guess(), near)["lamps"] > 1
     unknown = jnp.zeros((1, 1), bool)
     wrong = right_guess()._replace(distant=-right_guess().distant)
-    assert light_losses(wrong, lamp())["lamps"] > 0.9
-    assert light_losses(wrong, lamp(lamp_known=unknown))["lamps"] == 0
+    alone = losses_of(wrong, lamp())
+    assert alone["lamps"] > 0.9
+    assert losses_of(wrong, lamp(lamp_known=unknown))["lamps"] == 0
+    twice, two = (
+        jax.tree.map(lambda x: jnp.concatenate([x, x], 1), x) for x in (wrong, lamp())
+    )
+    one = jnp.array([[True, False]])
+    two = two._replace(lamp_known=one, harmonics_known=one)
+    for name, value in losses_of(twice, two).items():
+        assert float(value) == pytest.approx(float(alone[name]))
 
 
 def test_every_new_parameter_has_a_gradient():
@@ -133,16 +155,20 @@ def test_every_new_parameter_has_a_gradient():
         known_lights=light.lamp_direction,
     )
 
-    def loss(params):
+    def loss(params, weight):
         network = UniversalNetwork(config, params)
         keys = jax.random.split(jax.random.key(1), 2)
         options = dataclasses.replace(
             BLOCKS, squared_loss=False, steepness_weight=1.0, differences_weight=0.1
         )
+        options = dataclasses.replace(options, kinds_guess_weight=weight)
         return training_loss(network, known, keys, options)
 
-    gradient, metrics = jax.jit(jax.grad(loss, has_aux=True))(lively_weights(config))
+    run = jax.jit(jax.grad(loss, (0, 1), has_aux=True))
+    (gradient, by_weight), metrics = run(lively_weights(config), 0.1)
     assert {"coarse", "lights", "harmonics", "lamps"} <= metrics.keys()
+    kinds = float(metrics["harmonics"] + metrics["lamps"])
+    assert float(by_weight) == pytest.approx(kinds, rel=1e-5)
     flat, _ = jax.tree.flatten_with_path(gradient["encoder"])
     for path, value in flat:
         assert np.isfinite(value).all()

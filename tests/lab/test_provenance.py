@@ -1,6 +1,7 @@
 import pytest
 
 from unips_jax import provenance
+from unips_jax.evaluation.variants import hashed
 from unips_jax.provenance import code_hash
 
 FILES = {
@@ -68,3 +69,13 @@ def test_the_code_of_an_estimate_is_followed_into_all_rooms():
     reached = provenance._reached(["unips_jax.estimation.streaming"])
     wanted = {"models.unips", "models.upernet", "models.ops", "io.color"}
     assert {f"unips_jax.{name}" for name in wanted} <= set(reached)
+
+
+def test_of_a_file_its_contents_count(tmp_path):
+    """Results made with other weights under the same name are other results."""
+    first, second = tmp_path / "a", tmp_path / "b"
+    keys = []
+    for place, content in ((first, "1"), (second, "1"), (first, "2")):
+        place.write_text(content)
+        keys.append(hashed({"weights": str(place), "clip": 0.5}))
+    assert keys[0] == keys[1] != keys[2] and keys[0]["clip"] == 0.5

@@ -11,6 +11,7 @@ from unips_jax.cli import render
 from unips_jax.io.claims import claim
 from unips_jax.io.ps_wild import write_folder
 from unips_jax.scenes import SHAPE_KINDS, Scene, folders
+from unips_jax.surface.depth_files import read_depth
 
 
 @pytest.fixture
@@ -67,6 +68,17 @@ def test_a_folder_holds_what_was_drawn(tmp_path, scene):
     assert facts["light"] == "directional" and facts["focal_mm"] is None
     assert facts["light_directions"] == [[0, 0, 1]] * 2
     assert [path.name for path in folder.parent.iterdir()] == ["obj000.data"]
+
+
+def test_light_beyond_white_is_white_and_depth_ends_with_the_object(tmp_path, scene):
+    images = [np.full((8, 12, 3), [-0.5, 0.5, 1.5])] * 2
+    depth = np.full((8, 12), 7, np.float32)
+    write_folder(tmp_path / "a", images, scene.mask, scene.normals, {}, depth=depth)
+    image = _read(tmp_path / "a" / "L_00.png")[..., ::-1]
+    np.testing.assert_array_equal(image[0, 0], [0, 32768, 65535])
+    found = read_depth(tmp_path / "a" / "depth.exr")
+    assert not scene.mask.all()
+    np.testing.assert_array_equal(found, np.where(scene.mask, 7, 0))
 
 
 def test_focal_lengths_are_told_in_pixels_too(scene):

@@ -47,6 +47,10 @@ def test_loss_falls(name):
     np.testing.assert_allclose(kernel(state.ema_params), average, atol=1e-6)
     assert np.mean(losses[-5:]) < 0.5 * losses[0]
     assert int(state.step) == 30
+    # Each step draws pixels and turns of its own.
+    later = state._replace(step=state.step + 1)
+    seen = [step(s, data, jax.random.key(1), config=config)[1] for s in (state, later)]
+    assert seen[0]["mae_deg"] != seen[1]["mae_deg"]
     # Nothing passes a layer whose ReLUs are all off: here the last of the encoder.
     fusion = state.params["encoder"]["fusion"]["fpn_bottleneck"]
     fusion["bias"] -= 1e6
@@ -97,6 +101,22 @@ def test_kernels_alone_decay(name):
     updates, _ = optimizer.update(zeros, optimizer.init(params), params)
     np.testing.assert_allclose(updates["a"]["kernel"], -0.05, rtol=1e-6)
     assert not np.any(updates["a"]["bias"]) and not np.any(updates["table"])
+
+
+@pytest.mark.parametrize("name", ["adamw", "muon"])
+def test_second_moments_of_biases_have_their_rate(name):
+    params, moves = {"bias": jnp.ones(1)}, []
+    for b2 in (0.5, 0.9):
+        config = OptimConfig(name=name, b2=b2, warmup_steps=0, clip_norm=0)
+        optimizer = make_optimizer(Config(optim=config, train=TrainConfig(steps=10)))
+        state = optimizer.init(params)
+        for gradient in (1.0, 0.1):
+            given = {"bias": jnp.full(1, gradient)}
+            updates, state = optimizer.update(given, state, params)
+        moves.append(float(updates["bias"][0]))
+    # The second one's mean square is (b2 + 0.01) / (1 + b2).
+    expected = ((0.91 / 1.9) / (0.51 / 1.5)) ** 0.5
+    assert moves[0] / moves[1] == pytest.approx(expected, rel=1e-4)
 
 
 def test_large_sets_have_fewer_pixels():
@@ -152,6 +172,20 @@ def test_augmented_normals_stay_those_of_the_surface():
     assert (len(set(turns)), len(set(orders))) == (8, 6)
     assert orders.count((1, 2, 4)) / 600 == pytest.approx(1 / 2 + 1 / 12, abs=0.08)
     assert len({tuple(orders[i : i + 3]) for i in range(0, 600, 3)}) > 50
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_objects_are_augmented_if_asked_for(monkeypatch, wanted):
+    from unips_jax.training import step as module
+
+    monkeypatch.setattr(module, "training_loss", lambda _, objects, *__: objects)
+    data = dataclasses.replace(CONFIG.data, augment=wanted)
+    config = dataclasses.replace(CONFIG, data=data)
+    given = batch(6, 2, 4)
+    given["images"] *= jnp.arange(1, 17).reshape(4, 4, 1)
+    keys = jax.random.split(jax.random.key(0), (2, 6))
+    found = module.batch_loss({}, given, *keys, config=config)
+    assert bool(jnp.any(found.images != given["images"])) == wanted
 
 
 def test_nonfinite_loss_saves_the_batch(tmp_path, monkeypatch):

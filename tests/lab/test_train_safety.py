@@ -175,6 +175,17 @@ def test_a_loss_that_is_not_finite_says_how_to_go_on(tmp_path):
     with pytest.raises(FloatingPointError, match="choose another --workdir"):
         check_finite(3, {"mask": np.ones(2)}, metrics, tmp_path)
     assert np.all(np.load(tmp_path / "nonfinite_step3.npz")["mask"] == 1)
+    metrics = {"loss": 1.0, "grad_norm": np.inf}
+    with pytest.raises(InputError, match="step 4: loss 1.0 or its gradient is not"):
+        check_finite(4, {"mask": np.ones(2)}, metrics, tmp_path)
+    check_finite(5, {"mask": np.ones(2)}, {"loss": 1.0, "grad_norm": 2.0}, tmp_path)
+    assert not (tmp_path / "nonfinite_step5.npz").exists()
+
+
+def test_averaged_parameters_are_released_where_there_are_any():
+    state = TrainState(np.int32(0), "last", None, "averaged")
+    assert state.released_params() == "averaged"
+    assert state._replace(ema_params=None).released_params() == "last"
 
 
 @pytest.mark.parametrize(

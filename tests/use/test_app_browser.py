@@ -213,9 +213,7 @@ def test_by_keys_alone(stand_in, photographs):
         until(driver, lambda: "as found in the box" in text(driver, "mask-status"))
         on("#object p a", Keys.ENTER)
         until(driver, lambda: shown(driver, "list"))
-        assert (
-            complaints(driver) == []
-        )  # later ones may be of what is gone
+        assert complaints(driver) == []  # later ones may be of what is gone
         on("#list .x", Keys.ENTER)
         until(driver, lambda: "Removed" in text(driver, "message"))
         ActionChains(driver).send_keys(Keys.ESCAPE).perform()

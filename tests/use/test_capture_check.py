@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from picture_files import with_orientation
 from PIL import Image
 from plain_objects import PLAIN, lights, photographs
 
+from unips_jax.capture.check import _look_at_cameras
 from unips_jax.capture.folder import check_photographs
 from unips_jax.capture.light import look_at_light, rough_lights
 from unips_jax.cli import main as cli
@@ -185,6 +187,9 @@ def test_cameras_and_exposures():
     mixed, changes = check(images, mask, cameras=cameras, exposures=exposures)
     assert mixed.text.startswith("mixed cameras: Maker One and Maker Two (6.png)")
     assert changes.text.startswith("exposure changes: 5.png x4 of the usual")
+    for factor, count in ((1.2, 0), (1.35, 1), (1 / 1.35, 1)):  # a third of a stop
+        exif = SimpleNamespace(cameras=(), exposures=(0.02,) * 3 + (0.02 * factor,))
+        assert len(list(_look_at_cameras(exif, list("abcd")))) == count
 
 
 @pytest.fixture

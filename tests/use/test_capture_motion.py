@@ -7,8 +7,8 @@ import pytest
 from capture_checks import STRIPES, check, moved
 from plain_objects import lights, photographs
 
-from unips_jax.capture.motion import find_motion
-from unips_jax.capture.registration import register
+from unips_jax.capture.motion import Motion, find_motion
+from unips_jax.capture.registration import _scaled, register
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -125,3 +125,30 @@ def test_registration_undoes_shifts_and_turns():
         assert after < share * before
     for index in (0, 1, 2, 4, 6, 7):
         np.testing.assert_array_equal(back[index], images[index])
+
+
+def test_maps_of_smaller_pictures_agree_at_the_middles_of_pixels():
+    matrix = np.array([[0.98, -0.1, 3.0], [0.1, 0.98, -7.0]])
+    small = _scaled(matrix, 0.25)
+    place = np.array([13.0, 40.0])
+
+    def reduced(place):
+        return 0.25 * (place + 0.5) - 0.5
+
+    np.testing.assert_allclose(
+        small @ [*reduced(place), 1], reduced(matrix @ [*place, 1])
+    )
+
+
+def test_where_a_moved_photograph_shows_nothing_is_told():
+    """And sharp edges between black and white leave no light below zero."""
+    rng = np.random.default_rng(0)
+    wide = np.kron(rng.integers(0, 2, (18, 18)), np.ones((6, 6), np.float32))
+    wide = np.repeat(wide[..., None], 3, -1).astype(np.float32)
+    images = np.stack([wide[8:88, 8:98]] * 4)
+    images[2] = wide[4:84, 2:92]  # what it shows lies 6 to the right and 4 below
+    offsets = np.array([[0, 0], [0, 0], [6, 4], [0, 0]], float)
+    found, valid, _ = register(images, Motion(offsets, np.ones(4), 0, 1.5))
+    assert valid[:75, :83].all() and not valid[-3:].any() and not valid[:, -5:].any()
+    np.testing.assert_allclose(found[2][valid], images[0][valid], atol=0.05)
+    assert found.min() >= 0

@@ -176,9 +176,14 @@ def test_transfer_codes_of_png(tmp_path, code, dtype):
 
 
 def test_published_values_of_the_curves():
-    """BT.2100: table 4 and annex; BT.709: 18% grey is 0.409; PQ: 203 cd/m2 is 0.581."""
+    """BT.2100: table 4 and annex; BT.709: 18% grey is 0.409; PQ: 203 cd/m2 is 0.581.
+
+    H.273, table 3: SMPTE 240M meets its line at a light of 0.0228, logarithms reach
+    over two decades, and two and a half; SMPTE 428 is of 48 cd/m2.
+    """
     for code, value, light in (
         (1, 0.4090, 0.18),
+        (1, 0.045, 0.01),
         (4, 0.5, 0.5**2.2),
         (8, 0.3, 0.3),
         (13, 0.5, 0.21404),
@@ -190,6 +195,13 @@ def test_published_values_of_the_curves():
         (18, 1.0, 1.0),
         (18, 0.75, 0.26496),
         (7, 1.0, 1.0),
+        (7, 0.0913, 0.0228),
+        (7, 0.04, 0.01),
+        (5, 0.5, 0.5**2.8),
+        (9, 0.5, 0.1),
+        (10, 0.6, 0.1),
+        (10, 0.0, 0.0),
+        (17, 1.0, 52.37 / 48),
     ):
         found = CURVES[code][1](np.array([value]))[0]
         assert found == pytest.approx(light, rel=2e-3, abs=1e-6)
@@ -252,3 +264,11 @@ def test_photographs_encode_light_alike(tmp_path):
     tagged_png(tmp_path / "b.png", smooth(np.uint16, 1), GAMMA_1)
     capture = read_capture(select(tmp_path))
     assert dataclasses.asdict(capture)["transfer_rule"] == "16-bit values"
+    curves = [png_profile(profile(gamma_curve(g))) for g in (1.8, 1.4)]
+    tagged_png(tmp_path / "a.png", smooth(np.uint16), curves[0])
+    for other in (png_profile(SRGB), curves[1]):  # both are sRGB, once by a table
+        tagged_png(tmp_path / "b.png", smooth(np.uint16, 1), other)
+        with pytest.raises(InputError, match=r"b\.png: expected srgb values as a\.png"):
+            read_capture(select(tmp_path))
+    tagged_png(tmp_path / "b.png", smooth(np.uint16, 1), curves[0])
+    assert len(read_capture(select(tmp_path)).images) == 2

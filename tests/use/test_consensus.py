@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 from small_networks import SHALLOW_OURS as CONFIG
-from small_networks import lively_network, lively_weights
+from small_networks import lively, lively_network, lively_weights
 
 from unips_jax.models.encoding import Guesses
+from unips_jax.models.light_tokens import LightTokens
 from unips_jax.models.network import EncoderDecoder, init_params
 from unips_jax.training import loss as losses
 from unips_jax.training.config import Config, DataConfig, TrainConfig
@@ -58,6 +59,19 @@ def test_every_image_has_its_light_and_all_have_one_shape():
     moved, _ = agree(contexts().at[0, 0, 0, 0].add(1))
     assert abs(moved - agree(contexts())[0])[0].max(axis=-1).min() > 0
     np.testing.assert_array_equal(moved[1], agree(contexts())[0][1])
+
+
+def test_padding_has_no_say_in_light_tokens():
+    keys = jax.random.split(jax.random.key(0))
+    cells = jax.random.normal(keys[0], (1, 3, 4, 32))
+    light = jax.random.normal(keys[1], (1, 3, 32))
+    tokens = LightTokens(32)
+    params = lively(lambda key: tokens.init(key, cells, light, None))
+    run, some = jax.jit(tokens.apply), np.array([0, 2])
+    found, kinds = run(params, cells, light, jnp.array([True, False, True]))
+    expected, own = run(params, cells[:, some], light[:, some], None)
+    np.testing.assert_allclose(found[:, some], expected, atol=1e-5)
+    np.testing.assert_allclose(kinds.near[:, some], own.near, atol=1e-5)
 
 
 def scene():

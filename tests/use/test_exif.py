@@ -64,6 +64,16 @@ def test_differing_orientations_are_refused(tmp_path):
             read(select(tmp_path))
 
 
+def test_a_picture_that_fits_either_way_is_refused(tmp_path):
+    picture = smooth(np.uint8, height=60, width=60) // 2
+    picture += picture[::-1, ::-1]  # alike upside down
+    for name, tag in (("a.jpg", 1), ("b.jpg", 3)):
+        path = save(tmp_path / name, picture)
+        path.write_bytes(with_orientation(path.read_bytes(), tag))
+    with pytest.raises(InputError, match=r"b\.jpg: expected EXIF.* 1 .*got 3"):
+        read_capture(select(tmp_path))
+
+
 def webp_with_orientation(webp, orientation):
     features = struct.pack("<I", 8)  # it has EXIF data
     size = struct.pack("<I", WIDTH - 1)[:3] + struct.pack("<I", HEIGHT - 1)[:3]

@@ -14,7 +14,7 @@ from small_networks import SHALLOW_OURS, SMALL, lively_network
 
 from unips_jax import estimate_normals
 from unips_jax.cli.main import main
-from unips_jax.export.files import write_export
+from unips_jax.export.files import _shapes, write_export
 from unips_jax.weights import save_weights
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed")
@@ -135,3 +135,8 @@ def test_what_has_no_operator_is_named():
     value = graph.input("x", traced.in_avals[0])
     with pytest.raises(NotImplementedError, match="JAX's cumsum"):
         graph.add_jaxpr(traced.jaxpr, traced.consts, [value])
+
+
+def test_a_decoder_takes_as_many_views_as_asked_for():
+    views = [_shapes(SHALLOW_OURS, count)["views"].shape[0] for count in (None, 1)]
+    assert views == [2, 1]

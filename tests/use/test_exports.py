@@ -39,6 +39,7 @@ def test_a_model_gives_back_every_pixels_normal(tmp_path):
     names = content["meshes"][0]["primitives"][0]["attributes"]
     n, t = accessor(names["NORMAL"]), accessor(names["TANGENT"])
     place = accessor(names["TEXCOORD_0"]) * 64 - 0.5
+    np.testing.assert_allclose(place, np.rint(place), atol=1e-3)  # pixels' middles
     column, row = np.rint(place).astype(int).T
     texture = np.asarray(material.normalTexture.convert("RGB")) / 127.5 - 1
     given = texture[row, column]
@@ -48,6 +49,12 @@ def test_a_model_gives_back_every_pixels_normal(tmp_path):
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 1
     np.testing.assert_allclose(np.linalg.norm(n, axis=-1), 1, atol=1e-5)
     np.testing.assert_allclose((n * t[:, :3]).sum(-1), 0, atol=1e-5)
+    (tmp_path / "down.glb").write_bytes(
+        blender_model(depth, normals, name="dome", directx=True)[0]
+    )
+    down = trimesh.load(tmp_path / "down.glb", force="mesh").visual.material
+    turned = np.asarray(down.normalTexture.convert("RGB")) / 127.5 - 1
+    np.testing.assert_allclose(turned, texture * [1, -1, 1], atol=1e-6)
 
 
 def test_a_known_scale_is_kept(tmp_path):
@@ -68,12 +75,13 @@ def test_a_print_is_watertight_and_stands_on_a_base(focal):
     depth, _, _ = rippled_dome()
     depth += 100 if focal else 0
     depth[20:24, 20:24] = np.nan  # a hole
-    depth[30, 30] = depth[31, 31] = np.nan  # that meet in a corner
+    depth[[39, 39, 41, 41], [39, 40, 40, 41]] = np.nan  # two that meet in (40, 40)
     depth[:4, :4] = 3.0  # another part
     data, facts = printable(depth, Scale(focal))
     read = trimesh.load(io.BytesIO(data), file_type="stl")
     assert read.is_watertight and read.is_winding_consistent
     assert read.volume > 0 and read.body_count == 1
+    assert len(read.vertices) > 2 * 2000  # of the dome, not of the other part
     assert read.extents.max() == pytest.approx(100, rel=1e-5)
     assert len(read.faces) == facts["faces"]
     base = read.vertices[:, 2] < read.bounds[0, 2] + 1e-4

@@ -107,6 +107,8 @@ def test_guesses_of_any_of_our_networks_move_to_exact_lights(photographs):
     plain = lively_network(SHALLOW_OURS)
     guesses = estimate_with_lights(plain, images, mask).lights
     assert (np.linalg.norm(guesses, axis=-1) > 1).all()
+    turned = estimate_with_lights(plain, images[:, :, ::-1], mask[:, ::-1]).lights
+    np.testing.assert_allclose(turned * [-1, 1, 1], guesses, atol=2e-5)
     moved = estimate_with_lights(plain, images, mask, lights=lights).lights
     moved = moved / np.linalg.norm(moved, axis=-1, keepdims=True)
     np.testing.assert_allclose(moved, lights, atol=5e-3)

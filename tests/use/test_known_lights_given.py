@@ -14,7 +14,7 @@ from unips_jax.models.config import ModelConfig
 from unips_jax.models.network import UniversalNetwork
 
 NAMES = ["a_1.jpg", "a_2.jpg", "3.jpg", "b.jpg"]
-LIST = "3\na_2.png 0 0 2\nB.TIF 0,6 0 0,8\nother.jpg 1 0 0\n"
+LIST = "3\nB.TIF 0,6 0 0,8\na_2.png 0 0 2\nother.jpg 1 0 0\n"
 
 
 def test_a_list_gives_lights_by_name_and_the_others_stay_unknown(tmp_path):
@@ -60,12 +60,15 @@ def test_later_ones_replace_earlier_ones(tmp_path):
         ("1: blue", "found no such file"),
         ("none.lp", "found no such file"),
         ("others.lp", "got 1 of other names"),
+        ("more.lp", "got 5 of other names"),
         ("pixels.lp", "three numbers, got highlights' places"),
     ],
 )
 def test_what_fits_no_photograph_is_refused(tmp_path, monkeypatch, text, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "others.lp").write_text("x.jpg 0 0 1\n")
+    more = "".join(f"x{i}.jpg 0 0 1\n" for i in range(5))
+    (tmp_path / "more.lp").write_text(more)
     (tmp_path / "pixels.lp").write_text("b.jpg 10 20\n")
     with pytest.raises(InputError, match=message) as caught:
         read_known_lights([text], NAMES)

@@ -13,9 +13,11 @@ from unips_jax import estimate_lights
 from unips_jax.cli.estimate import main as estimate
 from unips_jax.errors import InputError
 from unips_jax.estimation import confidence
+from unips_jax.estimation.extras import write_confidence
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.io.color import srgb_encode
+from unips_jax.io.images import read_image
 from unips_jax.io.photographs import read_photographs, select
 from unips_jax.lighting import ptm
 from unips_jax.lighting.harmonics import COSINE_LOBE, harmonics
@@ -83,6 +85,13 @@ def test_surroundings_beside_the_lamp():
     assert even / lights.colors.mean() == pytest.approx(0.4 / COLORS.mean(), rel=0.25)
 
 
+def test_light_without_a_direction_comes_from_the_viewer():
+    guesses = DIRECTIONS * [[1], [0], [1], [1], [1]]
+    lights = estimate_lights(photographs(0.4), NORMALS, MASK, guesses=guesses)
+    np.testing.assert_array_equal(lights.directions[1], [0, 0, 1])
+    assert lights.directness[1] == 0 and np.isfinite(lights.harmonics).all()
+
+
 def test_stored_values_and_padding_do_not_matter():
     images = photographs()
     lights = estimate_lights(images, NORMALS, MASK)
@@ -122,6 +131,7 @@ def test_base_colour_without_highlights_and_seams(tmp_path, monkeypatch):
     truth = truth / np.square(texture()[MASK]).sum()
     error = np.abs(whole[MASK] / truth - 1)  # measured: 0.015 and 0.12
     assert np.median(error) < 0.04 and np.quantile(error, 0.9) < 0.16
+    assert np.quantile(whole[MASK].max(-1), 0.99) == pytest.approx(0.8, abs=0.01)
     monkeypatch.setattr("unips_jax.lighting.light_fit._STRIP", 7 * 5 * 40)
     np.testing.assert_allclose(base_color(images, NORMALS, MASK, lights), whole, 1e-6)
     write_base_color(tmp_path, whole)
@@ -205,6 +215,8 @@ def test_the_texture_map_relights_like_the_photographs(tmp_path):
     ptm.write_planes(tmp_path, fit)
     show, web = read_ptm(tmp_path / "relight.ptm"), read_planes(tmp_path)
     expected = ptm.equalised(images, "linear", lights, facts["white"])
+    bright = np.quantile(expected[:, MASK], 0.995)
+    assert bright == pytest.approx(srgb_encode(0.95), abs=0.01)
     error = []
     for image, (x, y, _) in zip(expected, lights.directions, strict=True):
         shown = show(x, y)
@@ -227,6 +239,45 @@ def test_halves_are_halves():
         assert sorted([*first, *second]) == list(range(7))
     with pytest.raises(InputError, match="expected 2 photographs or more, got 1"):
         confidence.normal_spread(None, np.ones((1, 4, 4, 3)), MASK, NORMALS)
+
+
+def test_spread_is_over_halves_of_which_every_second_is_mirrored(monkeypatch):
+    """Each half's normals are turned by 2, 4, 6 and 8 degrees about the vertical."""
+    mirror, given = np.float32([-1, 1, 1]), []
+
+    def estimate(network, images, mask, *, lights, **_):
+        index = len(given)
+        given.append((images, lights))
+        angle = np.deg2rad(2 * index + 2)
+        cos, sin = np.cos(angle), np.sin(angle)
+        turned = NORMALS @ np.float32([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
+        expected = MASK[:, ::-1] if index % 2 else MASK
+        np.testing.assert_array_equal(mask, expected)
+        return turned[:, ::-1] * mirror if index % 2 else turned
+
+    monkeypatch.setattr(confidence, "estimate_photographs", estimate)
+    images = photographs()
+    spread = confidence.normal_spread(None, images, MASK, NORMALS, lights=DIRECTIONS)
+    # About the vertical what faces sidewards turns as far as what faces the viewer.
+    middle = spread[20, MASK[20]]
+    np.testing.assert_allclose(middle, np.sqrt((4 + 16 + 36 + 64) / 4), atol=0.05)
+    assert not spread[~MASK].any()
+    for index, half in enumerate(confidence._halves(5, 2, 0)):
+        step = -1 if index % 2 else 1
+        seen, lights = given[index]
+        np.testing.assert_array_equal(seen, images[half][:, :, ::step])
+        np.testing.assert_allclose(lights, DIRECTIONS[half] * [step, 1, 1])
+
+
+def test_confidence_on_disk(tmp_path):
+    spread = np.float32([[0.001, 1.23, 14.9], [15.1, 90, 40]])
+    mask = np.array([[True, True, True], [True, True, False]])
+    facts = write_confidence(tmp_path, spread, mask)
+    levels = read_image(tmp_path / "confidence.png")[..., 0]
+    np.testing.assert_array_equal(levels, [[1, 123, 1490], [1510, 9000, 0]])
+    bad = read_image(tmp_path / "unreliable.png")[..., 0]
+    np.testing.assert_array_equal(bad, [[0, 0, 0], [255, 255, 0]])
+    assert facts["mean_deg"] == pytest.approx(spread[mask].mean())
 
 
 def test_all_is_everything():

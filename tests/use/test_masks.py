@@ -9,7 +9,7 @@ from PIL import Image
 from unips_jax.errors import InputError
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.images import read_image
-from unips_jax.io.masks import lit_without_mask, mask_box, read_mask
+from unips_jax.io.masks import lit_pixels, lit_without_mask, mask_box, read_mask
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
 
@@ -53,6 +53,16 @@ def test_cut_out_photograph_is_a_mask(tmp_path):
     """Colours are kept below the transparent part."""
     picture = np.dstack([smooth(np.uint8), np.zeros((HEIGHT, WIDTH, 1), np.uint8)])
     picture[4:17, 5:30, 3] = 255
+    read = read_mask(save(tmp_path / "mask.png", picture))
+    np.testing.assert_array_equal(read, picture[..., 3] > 0)
+
+
+@pytest.mark.parametrize("greys", [(0, 128, 255), (40, 180, 255)])
+def test_cut_out_photograph_of_strong_contrast_is_a_mask(tmp_path, greys):
+    """Its dark parts are the object's, as they would not be in a mask."""
+    picture = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
+    picture[..., :3] = np.repeat(greys, WIDTH // 3 + 1)[None, :WIDTH, None]
+    picture[4:17, 3:-3, 3] = 255
     read = read_mask(save(tmp_path / "mask.png", picture))
     np.testing.assert_array_equal(read, picture[..., 3] > 0)
 
@@ -149,6 +159,15 @@ def test_what_a_jpeg_leaves_around_an_object_is_left_out(tmp_path, quality):
     assert (capture.mask & ~disc).sum() < 20 and not (disc & ~capture.mask).any()
 
 
+def test_next_to_black_less_than_32_levels_are_left_out():
+    for level, black, kept in ((30, 0, False), (36, 0, True), (30, 4, True)):
+        brightest = np.full((5, 9), 200, np.uint8)
+        brightest[:, :3], brightest[:, 3:6] = black, level
+        lit = lit_pixels(brightest)
+        assert lit[:, 6:].all() and (lit[:, 3:6] == kept).all()
+        assert lit[:, :3].all() == (black > 2)
+
+
 def test_dark_parts_of_an_object_are_kept(tmp_path):
     disc = lit_disc(tmp_path)
     for path in tmp_path.iterdir():
@@ -228,6 +247,15 @@ def test_black_is_black_whatever_the_bits(noise):
         assert (lit != inside).sum() < 0.01 * inside.sum(), name
     with_light = np.where(inside, light, 0.1).astype(np.float32)
     assert lit_without_mask(with_light, "linear").all()  # no black background
+
+
+def test_hot_pixels_in_the_dark_are_no_object():
+    light = np.zeros((90, 120), np.float32)
+    light[20:70, 30:90] = 0.5
+    inside = light > 0
+    light[5::20, 7::20] = np.where(inside[5::20, 7::20], 0.5, 0.2)
+    assert ((light > 0) & ~inside).sum() > 10
+    np.testing.assert_array_equal(lit_without_mask(light, "linear"), inside)
 
 
 def test_a_set_of_16_bits_and_its_twin_of_8(shared_dir):

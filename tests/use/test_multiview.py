@@ -9,6 +9,7 @@ import pytest
 from picture_files import png_with_orientation
 
 from unips_jax.cli.multiview import main
+from unips_jax.io.cameras import read_sfm_data
 from unips_jax.io.images import read_image, turned, write_image
 from unips_jax.io.normals import decode_normals, write_normals
 from unips_jax.io.orientation import normals_as_stored
@@ -212,11 +213,12 @@ def test_pictures_of_another_shape_are_refused(tmp_path, capsys):
     assert said in capsys.readouterr().err
 
 
-def test_sfm_data_has_scaled_lenses_and_pictures(tmp_path):
-    results = given(tmp_path, half=True)
+@pytest.mark.parametrize("version", ["1.0", "1.2"])
+def test_sfm_data_has_scaled_lenses_and_pictures(tmp_path, version):
+    results = given(tmp_path, version, half=True)
     out = tmp_path / "out"
     assert main([*results, "--sfm", str(tmp_path / "in.sfm"), "-o", str(out)]) == 0
-    original = sfm_data(tmp_path, "1.2")
+    original = sfm_data(tmp_path, version)
     for kind in ("normal", "mask", "albedo"):
         data = json.loads((out / f"{kind}s.sfm").read_text())
         assert [view["viewId"] for view in data["views"]] == ["0", "100", "200"]
@@ -226,10 +228,25 @@ def test_sfm_data_has_scaled_lenses_and_pictures(tmp_path):
         (lens,) = data["intrinsics"]
         assert (lens["width"], lens["height"]) == (str(WIDTH // 2), str(HEIGHT // 2))
         # Millimetres stay, pixels are half as many.
-        assert lens["focalLength"] == original["intrinsics"][0]["focalLength"]
-        np.testing.assert_allclose(np.array(lens["principalPoint"], float), OFFSET / 2)
+        before = original["intrinsics"][0]
+        assert lens.get("focalLength") == before.get("focalLength")
+        if version == "1.0":
+            assert float(lens["pxFocalLength"]) == FOCAL / 2
+        for found, point in zip(
+            lens["principalPoint"], before["principalPoint"], strict=True
+        ):
+            assert float(found) == pytest.approx(float(point) / 2)
     color = cv2.imread(str(out / "albedo" / "002.png"), cv2.IMREAD_UNCHANGED)
     assert color.dtype == np.uint16 and (color == 3000).all()
+
+
+def test_focal_lengths_of_columns_and_rows(tmp_path):
+    content = sfm_data(tmp_path, "1.0")
+    content["intrinsics"][0]["pxFocalLength"] = ["50", "40"]
+    (tmp_path / "in.sfm").write_text(json.dumps(content))
+    cameras, _ = read_sfm_data(tmp_path / "in.sfm")
+    for found in cameras:
+        np.testing.assert_allclose(np.diag(found.matrix), [50, 40, 1])
 
 
 def test_what_does_not_belong_is_refused(tmp_path, capsys):

@@ -71,13 +71,17 @@ def test_base_colour_is_even_where_the_surface_is():
     np.testing.assert_allclose(ratio / ratio.mean(), 1, atol=0.05)
 
 
-def test_the_texture_map_has_even_light():
+def test_the_texture_map_has_even_light(monkeypatch):
     lights = estimate_lights(IMAGES, NORMALS, MASK, guesses=DIRECTIONS, near=FIELD)
     fit = ptm.fit_texture_map(IMAGES, MASK, lights)
     (_, inside, _, values), *rest = fit.strips()
     assert not rest
     whole = ptm.equalised(IMAGES, "linear", lights, fit.white)
     np.testing.assert_allclose(values, whole[:, inside], atol=1e-6)
+    monkeypatch.setattr("unips_jax.lighting.light_fit._STRIP", 5 * 7 * SIZE)
+    parts = [values for *_, values in fit.strips()]
+    assert len(parts) == 7
+    np.testing.assert_allclose(np.concatenate(parts, 1), values, atol=1e-6)
     # As distant lamps of one power at the middle: towards each side equally bright.
     linear = np.where(whole < 0.04045, whole / 12.92, ((whole + 0.055) / 1.055) ** 2.4)
     to = DISTANCE * DIRECTIONS[:, None] - PLACES[MASK]
@@ -96,10 +100,10 @@ def test_the_option_takes_the_depth_of_the_normals(tmp_path):
         return estimate_extras(None, IMAGES, MASK, found, "linear", options, rig=rig)
 
     lights = extras(options).lights
-    depth = lights.near.places[MASK][:, 2]
-    off = depth - PLACES[MASK][:, 2]
-    assert np.std(off) < 0.01  # in widths; the middle's is where the median is
-    assert extras(options, lights).lights.near.distance == DISTANCE
+    off = lights.near.places[MASK] - PLACES[MASK]  # in widths
+    assert np.abs(off[:, :2]).max() < 0.02
+    assert np.std(off[:, 2]) < 0.01  # the middle's depth is where the median is
+    assert extras(options, lights._replace(near=None)).lights.near.distance == DISTANCE
     record = {"images": [f"{index}.png" for index in range(5)]}
     estimate = Estimate(
         IMAGES, MASK, "linear", found.normals, record, None, Extras(lights)

@@ -12,7 +12,7 @@ from unips_jax.cli.relight import main as relight
 from unips_jax.cli.surface import main as surface
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_linear, srgb_encode
-from unips_jax.io.images import encode_image
+from unips_jax.io.images import encode_image, read_image
 from unips_jax.io.normal_axes import integrability
 from unips_jax.io.normal_maps import examine_normals, read_normal_map
 from unips_jax.io.normals import turn_normals
@@ -61,10 +61,12 @@ def honest():
     y, x = np.mgrid[:80, :90].astype(float)
     for z in (
         0.3 * x + 0.2 * y,  # a tilted plane
+        0.33 * (y - x),  # all of whose normals have no number below 0
         0 * x,
         4 * np.floor(x / 20) + 5 * np.floor(y / 20),  # steps
         4 * np.cos(np.hypot(x - 40, y - 30) / 3),
         x * y / 100,
+        5 * np.exp(-np.square(np.hypot(x - 45, y - 40) / 12)),  # a relief on a plane
         cv2.GaussianBlur(((x % 20 > 3) & (y % 20 > 3)).astype(float), (0, 0), 1) * 6,
     ):
         down, right = np.gradient(z)
@@ -167,6 +169,12 @@ def test_what_is_transparent_is_no_surface():
         found = examine_normals(encoded(normals, background), alpha=alpha)
         np.testing.assert_array_equal(found.normals.any(-1), mask)
         assert "are transparent" in found.mended[0]
+    rim = mask & ~(cv2.erode(mask.astype(np.uint8), np.ones((3, 3))) > 0)
+    for level in (126, 129):  # a soft edge
+        alpha = np.where(rim, level, np.uint8(255 * mask)).astype(np.uint8)
+        found = examine_normals(encoded(normals), alpha=alpha)
+        expected = mask & ~rim if level < 127 else mask
+        np.testing.assert_array_equal(found.normals.any(-1), expected)
     heights = np.linspace(0, 255, mask.size).reshape(mask.shape).astype(np.uint8)
     found = examine_normals(encoded(normals), alpha=heights)
     np.testing.assert_array_equal(found.normals.any(-1), mask)
@@ -200,12 +208,26 @@ def test_what_is_certain_is_mended_and_reported(change, line):
         assert line in " ".join(found.mended) and not found.doubts
 
 
+def test_what_faces_away_a_little_is_kept():
+    """Wide lenses see it, at one side of an object."""
+    angle = np.deg2rad(np.linspace(-70, 109, 90))  # of a pipe's normals
+    turned = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1)
+    turned = np.broadcast_to(turned.astype(np.float32), (60, 90, 3))
+    assert (turned[..., 2] < 0).mean() > 0.1
+    found = examine_normals(turned)
+    np.testing.assert_allclose(found.normals, turned, atol=1e-6)
+    assert not found.mended and not found.doubts
+
+
 @pytest.mark.parametrize("blue", [0, 255])
 def test_a_missing_blue_channel_is_worked_out(blue):
     normals, mask, _ = dome(bumps=1)
     values = encoded(normals)
     values[..., 2] = blue
+    values[40:42, 40:42, :2] = 255  # too long for any z
     found = examine_normals(values)
+    assert not found.normals[40:42, 40:42].any()
+    mask[40:42, 40:42] = False
     cosine = (found.normals * normals).sum(-1)[mask]
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 1
     assert "the blue channel is constant" in found.mended[0]
@@ -276,6 +298,25 @@ def test_arrays_of_bytes_are_read_as_pictures(tmp_path):
     found = read_normal_map(tmp_path / "bytes.npy")
     assert degrees(found.normals, normals) < 0.5
     assert "the array holds uint8" in found.mended[0]
+
+
+def test_a_folder_of_results_needs_no_convention(tmp_path):
+    normals = dome(bumps=1)[0]
+    np.save(tmp_path / "normals.npy", normals)
+    found = read_normal_map(tmp_path, "directx")
+    np.testing.assert_allclose(found.normals, normals, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_what_stands_for_zero_is_zero_as_stored_too(tmp_path, dtype):
+    """Of unit length it would be a normal."""
+    normals, mask, _ = dome()
+    path = tmp_path / "n.png"
+    path.write_bytes(encode_image(".png", encoded(normals, dtype=dtype)))
+    for values in (encoded(normals, dtype=dtype), read_image(path)):
+        assert (values[~mask] == np.iinfo(dtype).max // 2 + 1).all()
+    found = read_normal_map(path, as_stored=True).normals
+    np.testing.assert_array_equal(found.any(-1), mask)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import scipy.io
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import srgb_encode
-from unips_jax.io.normals import encode_normals, write_normals
+from unips_jax.io.normals import encode_normals, has_unit_length, write_normals
 from unips_jax.io.results import appearing_at_once, check_target, write_record
 from unips_jax.pictures.estimate_sheet import shade, write_sheet
 
@@ -63,6 +63,13 @@ def test_conventions_turn_maps_not_arrays(tmp_path, normals, normal_map, signs):
     np.testing.assert_array_equal(mat, normals)
 
 
+def test_the_object_is_where_lengths_are_one_to_a_thousandth():
+    lengths = np.array([0, 0.998, 0.9995, 1.0005, 1.002])
+    expected = [False, False, True, True, False]
+    z = np.float32([0, 0, 1]) * lengths[:, None]
+    np.testing.assert_array_equal(has_unit_length(z), expected)
+
+
 def test_files_appear_together_or_not_at_all(tmp_path):
     target = tmp_path / "out" / "a"
     with pytest.raises(RuntimeError), appearing_at_once(target) as place:
@@ -110,6 +117,7 @@ def test_srgb_and_shading_of_known_values():
     linear = [0, 0.0031308, 0.0121702, 0.2140411, 1]
     expected = [0, 0.0404499, 0.1125, 0.5, 1]  # IEC 61966-2-1
     np.testing.assert_allclose(srgb_encode(np.array(linear)), expected, atol=1e-3)
+    np.testing.assert_allclose(srgb_encode(np.array([-1, 2])), [0, 1], atol=1e-12)
     facing = np.float32([[[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]])
     cos, sin = np.cos(np.deg2rad(40)), np.sin(np.deg2rad(40))
     np.testing.assert_allclose(shade(facing, 0)[0], [cos, 0, sin, 0], atol=1e-6)

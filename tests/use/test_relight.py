@@ -174,6 +174,11 @@ def test_perspective_moves_highlights_alone():
     np.testing.assert_allclose(flat, near, atol=1e-6)
     flat, near = (relight(NORMALS, GLOSSY, lights, focal=f) for f in (None, 30.0))
     assert np.abs(flat - near).max() > 0.05
+    # A plane is seen to mirror a lamp at the upper right from there.
+    plane = np.broadcast_to(np.float32([0, 0, 1]), (24, 30, 3))
+    image = relight(plane, GLOSSY, lights, focal=30.0)[..., 0]
+    brightest = np.unravel_index(image.argmax(), image.shape)
+    np.testing.assert_allclose(brightest, [11.5 - 9, 14.5 + 6], atol=1)
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,9 @@ def test_lights_come_back_as_they_were_written(earlier):
     np.testing.assert_allclose(some.colors, lights.colors[[2, 0]], atol=2e-6)
     listed = read_rig(folder / "lights.lp", ["3.jpg"])
     np.testing.assert_allclose(listed, DIRECTIONS[[3]], atol=2e-6)
+    longer = folder.parent / "longer.lp"
+    longer.write_text("a.png 0 3 4\nb.png 0.1 0 0\n")
+    np.testing.assert_allclose(read_rig(longer), [[0, 0.6, 0.8], [1, 0, 0]])
 
 
 def test_another_object_has_its_colours_by_them(earlier):
@@ -102,6 +105,7 @@ def test_the_command_uses_them(earlier, tmp_path, network_calls, capsys):
     ("text", "message"),
     [
         ("2\na.png 0 0 1\nb.png 1 0 1\n", r"each of the 3 photographs.* got 2, none"),
+        ("".join(f"{n}.png 0 0 1\n" for n in "abcd"), r"each of the 3 .* got 4, none"),
         ("a.png 3 4\nb.png 4 4\nc.png 5 5\n", "expected directions, three numbers"),
         ("a.png 0 0 0\nb.png 0 1 1\nc.png 0 1 1\n", "got one of length 0"),
         ("a.png 0 0 1\nnothing\n", "line 2"),
@@ -123,6 +127,15 @@ def test_other_files_are_named(tmp_path, content):
     (tmp_path / "lights.json").write_text(content)
     with pytest.raises(InputError, match="expected lights as `unips estimate"):
         read_rig(tmp_path, NAMES)
+
+
+def test_directions_of_another_length_are_no_lights(earlier):
+    folder, _ = earlier
+    content = json.loads((folder / "lights.json").read_text())
+    content["photographs"][1]["direction"] = [0, 0, 2]
+    (folder / "lights.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="expected lights as `unips estimate"):
+        read_rig(folder, NAMES)
 
 
 def test_lights_without_a_use_are_refused(tmp_path, network_calls, capsys):

@@ -9,8 +9,10 @@ from plain_objects import hemisphere
 
 from unips_jax.cli.estimate import main as estimate
 from unips_jax.cli.surface import main as surface
+from unips_jax.io.color import srgb_encode
 from unips_jax.io.normals import encode_normals
 from unips_jax.io.photographs import select
+from unips_jax.surface.outputs import photograph_colors
 from unips_jax.viewer.page import notes_in
 
 trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")
@@ -63,10 +65,15 @@ def test_depth_in_millimetres(given, files, capsys):
 def test_mesh_with_the_photographs_colors(files):
     arguments = [str(files), "-o", str(files / "out"), "--mesh", "ply"]
     photo = ["--photograph", str(files / "photo.png"), "--mask"]
-    assert surface([*arguments, *photo, str(files / "mask.png")]) == 0
+    scale = ["--scale", "0.5", "--unit", "mm"]
+    assert surface([*arguments, *scale, *photo, str(files / "mask.png")]) == 0
     mesh = trimesh.load(files / "out" / "mesh.ply", process=False)
     red = mesh.visual.vertex_colors[:, 0] == 255
     assert np.array_equal(red, mesh.vertices[:, 1] > 0)
+    across, depth = np.ptp(mesh.vertices, axis=0)[[0, 2]]
+    columns = cv2.imread(str(files / "mask.png"), 0).any(axis=0).sum()
+    assert across == pytest.approx(0.5 * (columns - 1), abs=1.1)
+    assert depth == pytest.approx(0.5 * 21.6, abs=1.5)
 
 
 def test_depth_is_a_prior_of_the_next(files):
@@ -154,3 +161,12 @@ def test_estimate_writes_depth_and_mesh(tmp_path):
 def test_focal_without_depth_is_refused(tmp_path, capsys):
     assert estimate([str(tmp_path), "-o", str(tmp_path / "o"), "--focal", "9"]) == 2
     assert "--focal: expected a depth to use it for" in capsys.readouterr().err
+
+
+def test_colours_of_linear_photographs_reach_white():
+    encoded = np.uint8([[[10, 20, 100]]])
+    np.testing.assert_array_equal(photograph_colors(encoded, "srgb"), encoded)
+    linear = np.float32([[[0.01, 0.05, 0.1]]])
+    expected = np.rint(255 * srgb_encode(linear / 0.1))
+    found = photograph_colors(linear, "linear").astype(int)
+    np.testing.assert_allclose(found, expected, atol=1)

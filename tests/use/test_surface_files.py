@@ -39,6 +39,9 @@ def test_depth_files_hold_the_depth(tmp_path):
     # Towards the viewer: the nearest pixel is the brightest.
     assert heights[np.unravel_index(np.nanargmin(depth), depth.shape)] == 65535
     assert heights[np.unravel_index(np.nanargmax(depth), depth.shape)] == 0
+    for name, steps in (("depth.png", 65534), ("height.png", 65535)):
+        text = Image.open(tmp_path / name).text["Description"]
+        assert f" * {float(far - near) / steps:.9g} mm," in text
     text = Image.open(tmp_path / "height.png").text["Description"]
     assert text == facts["height.png"] and f"full scale {far - near:.9g} mm" in text
 
@@ -69,6 +72,9 @@ def test_mesh_is_read_back(suffix, tmp_path):
         content, accessor = read_glb(path)
         attributes = content["meshes"][0]["primitives"][0]["attributes"]
         painted = accessor(attributes["COLOR_0"])[:, :3]
+        bounds = content["accessors"][attributes["POSITION"]]
+        np.testing.assert_allclose(bounds["min"], read.vertices.min(0), atol=1e-6)
+        np.testing.assert_allclose(bounds["max"], read.vertices.max(0), atol=1e-6)
         expected = np.where(
             expected <= 0.04045, expected / 12.92, ((expected + 0.055) / 1.055) ** 2.4
         )
@@ -124,12 +130,15 @@ def test_perspective_vertices_lie_on_their_rays():
     np.testing.assert_allclose(-z, depth.ravel()[mesh.pixels], rtol=1e-6)
 
 
-@pytest.mark.parametrize(("focal", "depths"), [(None, (0, 30)), (20.0, (40, 100))])
-def test_jumps_are_not_bridged(focal, depths):
+@pytest.mark.parametrize(
+    ("focal", "side", "depths"),
+    [(None, 1.0, (0, 30)), (None, 0.1, (0, 3)), (20.0, 1.0, (40, 100))],
+)
+def test_jumps_are_not_bridged(focal, side, depths):
     depth = np.full((6, 8), depths[0], np.float32)
     depth[:, 4:] = depths[1]
-    whole = mesh_of_depth(depth, focal=focal, cut=None)
-    cut = mesh_of_depth(depth, focal=focal, cut=10.0)
+    whole = mesh_of_depth(depth, focal=focal, pixel_size=side, cut=None)
+    cut = mesh_of_depth(depth, focal=focal, pixel_size=side, cut=10.0)
     assert len(whole.faces) == 2 * 5 * 7
     assert len(cut.faces) == 2 * 5 * 6
     parts = trimesh.Trimesh(cut.vertices, cut.faces, process=False).body_count

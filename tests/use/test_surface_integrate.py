@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from unips_jax import integrate_image, integrate_normals
+from unips_jax.surface.equations import statements
+from unips_jax.surface.integrate import read_prior
 from unips_jax.surface.islands import island_means, label_islands
 
 
@@ -113,10 +115,28 @@ def test_perspective_plane(principal_point):
     ray = np.stack([(column - x0) / focal, -(row - y0) / focal, -np.ones_like(row)], -1)
     truth = -1 / (ray @ normal)
     normals = np.broadcast_to(normal, (72, 90, 3))
-    found = integrate_image(normals, focal=focal, principal_point=principal_point)
-    assert abs(np.log(found.depth).mean()) < 1e-5
-    ratio = found.depth / truth
+    mask = np.zeros((72, 90), bool)
+    mask[9:70, 29:90] = True  # what is integrated is its box
+    found = integrate_image(normals, mask, focal=focal, principal_point=principal_point)
+    assert abs(np.log(found.depth[mask]).mean()) < 1e-5
+    ratio = (found.depth / truth)[mask]
     assert np.ptp(ratio) / ratio.mean() < 1e-4
+
+
+def test_the_principal_point_is_the_middle_of_the_image():
+    normals = jnp.broadcast_to(jnp.array([0.4, -0.3, 0.87]), (7, 10, 3))
+    inside = jnp.ones((7, 10), bool)
+    middle, given = (statements(normals, inside, 20.0, p).m for p in (None, (4.5, 3.0)))
+    np.testing.assert_allclose(middle, given, rtol=1e-6)
+
+
+def test_a_prior_that_is_no_distance_is_unknown():
+    prior = jnp.array([[2.0, 0.0, -3.0, jnp.nan, 8.0]])
+    known, shift = read_prior(prior, 0.5, jnp.ones((1, 5), bool), 10.0)
+    half = 10 * np.log(2)
+    np.testing.assert_allclose(shift, 10 * np.log(4), rtol=1e-6)
+    np.testing.assert_allclose(known.depth, [[-half, 0, 0, 0, half]], rtol=1e-5)
+    np.testing.assert_allclose(known.weight, [[0.5, 0, 0, 0, 0.5]])
 
 
 def perspective_box(size, focal):
