@@ -1,11 +1,14 @@
 """Warnings about poor captures."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from unips_jax.capture import prepare
 from unips_jax.capture.advice import look_at_values
+from unips_jax.io.photographs import Capture
 
 
 def capture_warnings(images, mask, names):
@@ -98,3 +101,18 @@ def test_specks_islands_and_pinholes_of_the_mask():
     half[60:, 20:100] = True
     half[110:, 50:60] = False
     assert capture_warnings(images, half[:, ::-1], names) == []
+
+
+def test_a_found_mask_keeps_out_what_was_left_out(monkeypatch):
+    """Such as what is black in all photographs; small specks of it are the object's."""
+    images = np.full((3, 60, 60, 3), 120, np.uint8)
+    images[:, :25], images[:, 40, 30] = 0, 0
+    found = np.zeros((60, 60), bool)
+    found[10:50, 10:50] = True
+    guess = SimpleNamespace(mask=found, figure=1.0, rule="edges")
+    monkeypatch.setattr(prepare, "suggest_mask", lambda *_, **__: guess)
+    capture = Capture(images, images[0].any(axis=-1), "srgb")
+    mask = prepare.with_suggested_mask(capture).mask
+    expected = found.copy()
+    expected[:25] = False
+    np.testing.assert_array_equal(mask, expected)
