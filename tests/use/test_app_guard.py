@@ -5,7 +5,7 @@ import errno
 import json
 import re
 import socket
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
 
@@ -245,6 +245,13 @@ def test_ports_that_windows_keeps_are_passed_over(monkeypatch):
         listening(OWN, PORT),
     ):
         pass
+
+
+def test_messages_are_without_folders_of_any_system():
+    for path in (PurePosixPath("/a/ID/photographs"), PureWindowsPath("C:\\a\\photos")):
+        text = f"{path}: expected one size, got {path / 'b.png'} of another"
+        found = answers.without_folder(text, path)
+        assert found == "expected one size, got b.png of another"
 
 
 def test_results_that_cannot_be_written_are_one_line(capsys, tmp_path):

@@ -4,12 +4,10 @@ import errno
 import os
 import re
 import time
-from pathlib import PurePosixPath, PureWindowsPath
 
 import pytest
 from small_disk import files_below, fill_after
 
-from unips_jax.app.answers import without_folder
 from unips_jax.app.objects import Photograph, clean, opened, unused
 from unips_jax.errors import InputError
 from unips_jax.io.door import NotWritten
@@ -34,13 +32,6 @@ def test_names_are_cleaned(name, cleaned):
     found = clean(name)
     assert cleaned is None or found == cleaned
     assert len(found.encode()) <= 100 and "/" not in found
-
-
-def test_messages_are_without_folders_of_any_system():
-    for path in (PurePosixPath("/a/ID/photographs"), PureWindowsPath("C:\\a\\photos")):
-        text = f"{path}: expected one size, got {path / 'b.png'} of another"
-        found = without_folder(text, path)
-        assert found == "expected one size, got b.png of another"
 
 
 def test_equal_names_get_numbers():
