@@ -56,8 +56,8 @@ def _count_findings(count: int, inside: int) -> Iterator[Finding]:
     if count < _FEW_IMAGES:
         yield Finding(
             "few photographs",
-            f"too few photographs: {count}; take 8 or more, each under another "
-            "light (4 still give a rough shape)",
+            f"too few photographs: {count}; take six to twenty, each under another "
+            "light (four still give a rough shape)",
         )
     if inside < _SMALL_MASK:
         yield Finding(

@@ -48,7 +48,7 @@ class Turned(NamedTuple):
         stated = f"files:DIR,{self.options}" if self.options else "files:DIR alone"
         return (
             f"it seems that {meaning}: {self.turned:.1f} degrees when turned, "
-            f"{self.as_given:.1f} as given ({stated} says so)"
+            f"{self.as_given:.1f} as given (of files, {stated} says so)"
         )
 
 

@@ -55,7 +55,7 @@ def input_record(
         "unips_jax": __version__,
         "code": code,
         "weights": weights,
-        "folder": os.path.abspath(selection.title),  # noqa: PTH100: links stay
+        "folder": os.path.abspath(selection.title),  # links stay  # noqa: PTH100
         "images": {file.name: reader.hash(file) for file in selection.files},
         "left_out": selection.left_out,
         "mask": None if mask is None else os.path.abspath(mask),  # noqa: PTH100
