@@ -174,8 +174,17 @@ class Graph:
             return np.broadcast_to(value, tuple(shape))
         return self.node("Expand", [value, self.dims(shape)], (shape, value.dtype))
 
-    def add_jaxpr(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Value]):
-        """Adds the equations of an open jaxpr; returns the values of its results."""
+    def add_jaxpr(
+        self,
+        jaxpr: Any,
+        consts: Sequence[Any],
+        args: Sequence[Value],
+        wanted: Sequence[bool] | None = None,
+    ) -> list[Any]:
+        """Adds the equations of an open jaxpr; returns the values of its results.
+
+        Of results that are not `wanted` None, and nothing that serves only them.
+        """
         values: dict[Any, Value] = {}
 
         def read(atom: Any) -> Value:
@@ -187,19 +196,24 @@ class Graph:
         for variable, const in zip(jaxpr.constvars, consts, strict=True):
             values[variable] = np.asarray(const)
         values.update(zip(jaxpr.invars, args, strict=True))
-        for equation in jaxpr.eqns:
-            found = self._add(equation, [read(atom) for atom in equation.invars])
+        wanted = wanted or [True] * len(jaxpr.outvars)
+        for equation, used in _needed(jaxpr, wanted):
+            inputs = [read(atom) for atom in equation.invars]
+            found = self._add(equation, inputs, used)
             values.update(zip(equation.outvars, found, strict=True))
-        return [read(atom) for atom in jaxpr.outvars]
+        results = zip(jaxpr.outvars, wanted, strict=True)
+        return [read(atom) if want else None for atom, want in results]
 
-    def _add(self, equation: Any, inputs: list[Value]) -> Sequence[Value]:
+    def _add(
+        self, equation: Any, inputs: list[Value], used: Sequence[bool]
+    ) -> Sequence[Any]:
         name, params = equation.primitive.name, equation.params
         if name in CALLS:
             called = params[CALLS[name]]
             inner = (
                 called if hasattr(called, "consts") else core.ClosedJaxpr(called, ())
             )
-            return self.add_jaxpr(inner.jaxpr, inner.consts, inputs)
+            return self.add_jaxpr(inner.jaxpr, inner.consts, inputs, used)
         if _is_constant(equation, inputs):
             avals = [atom.aval for atom in equation.invars]
             whole = [self.whole(x, a.shape) for x, a in zip(inputs, avals, strict=True)]
@@ -268,6 +282,19 @@ class _Dim:
         return self._with("Mul", -1)
 
     __radd__, __rmul__ = __add__, __mul__
+
+
+def _needed(jaxpr: Any, wanted: Sequence[bool]) -> list[tuple[Any, list[bool]]]:
+    """The equations that the wanted results follow from, and which outputs are used."""
+    pairs = zip(jaxpr.outvars, wanted, strict=True)
+    used = {atom for atom, want in pairs if want and isinstance(atom, core.Var)}
+    needed = []
+    for equation in reversed(jaxpr.eqns):
+        outputs = [variable in used for variable in equation.outvars]
+        if any(outputs):
+            needed.append((equation, outputs))
+            used.update(x for x in equation.invars if isinstance(x, core.Var))
+    return needed[::-1]
 
 
 def _is_constant(equation: Any, inputs: list[Value]) -> bool:

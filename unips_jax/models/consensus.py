@@ -69,7 +69,7 @@ class Consensus(nn.Module):
         light = light + dense(self.features, self.dtype, "whole")(whole)
         light = self._block("block_lights")(light, valid, True)
         light = layer_norm(self.dtype, "norm_lights")(light)
-        if self.known_lights:
+        if self.known_lights and (lights is not None or self.is_initializing()):
             given = jnp.zeros((batch, images, 3)) if lights is None else lights
             light = light + KnownLights(self.features, self.dtype, name="given")(given)
         kinds = None
