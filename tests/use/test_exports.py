@@ -88,11 +88,22 @@ def test_a_print_is_watertight_and_stands_on_a_base(focal):
     assert base.sum() == len(read.vertices) / 2
 
 
+def test_a_print_has_as_many_triangles_as_asked_for():
+    depth, _, _ = rippled_dome()
+    whole, facts = printable(depth)
+    data, fewer = printable(depth, max_faces=600)
+    small, large = (trimesh.load(io.BytesIO(x), file_type="stl") for x in (data, whole))
+    assert small.is_watertight and fewer["faces"] < 1600 < facts["faces"]
+    assert small.volume == pytest.approx(large.volume, rel=0.15)  # less its edge
+    np.testing.assert_allclose(small.extents, large.extents, rtol=0.1)
+
+
 def test_the_command_writes_all_three(tmp_path):
     folder = tmp_path / "cat"
     folder.mkdir()
     np.save(folder / "normals.npy", hemisphere(48)[0])
     cv2.imwrite(str(folder / "base_color.png"), np.full((48, 48, 3), 99, np.uint8))
+    os.utime(folder / "normals.npy", (0, 0))  # a ZIP begins in 1980
     out = tmp_path / "out"
     arguments = [str(folder), "-o", str(out), "--export", "blender", "print", "archive"]
     assert surface(arguments) == 0
@@ -133,6 +144,12 @@ def test_an_archive_states_the_normals_convention(tmp_path, normal_map, said):
     assert surface([str(folder), "-o", str(out), "--export", "archive"]) == 0
     with zipfile.ZipFile(out / "cat.zip") as packed:
         assert said in packed.read("cat/cat-README.txt").decode()
+    # Of a file it is what the reader says.
+    file, out = str(folder / "normals.png"), str(tmp_path / "of_file")
+    stated = ["--normal-map", normal_map, "--export", "archive"]
+    assert surface([file, "-o", out, *stated]) == 0
+    with zipfile.ZipFile(tmp_path / "of_file" / "normals.zip") as packed:
+        assert said in packed.read("normals/normals-README.txt").decode()
 
 
 @pytest.mark.parametrize(

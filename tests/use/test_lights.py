@@ -17,12 +17,13 @@ from unips_jax.estimation.extras import write_confidence
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.io.color import srgb_encode
-from unips_jax.io.images import read_image
+from unips_jax.io.images import read_image, read_linear
 from unips_jax.io.photographs import read_photographs, select
 from unips_jax.lighting import ptm
 from unips_jax.lighting.harmonics import COSINE_LOBE, harmonics
 from unips_jax.lighting.light_files import base_color, write_base_color, write_lights
 from unips_jax.lighting.light_fit import irradiance
+from unips_jax.viewer.result import maps_of
 from unips_jax.weights import save_weights
 
 NORMALS, MASK, _ = hemisphere(40)
@@ -138,6 +139,15 @@ def test_base_colour_without_highlights_and_seams(tmp_path, monkeypatch):
     picture = cv2.imread(str(tmp_path / "base_color.png"), cv2.IMREAD_UNCHANGED)
     encoded = np.rint(65535 * srgb_encode(whole[..., ::-1])).astype(int)
     assert np.abs(picture.astype(int) - encoded).max() <= 1
+    # Read again it is the same light, by its tag; without one, as of earlier versions,
+    # by its name.
+    path, size = tmp_path / "base_color.png", whole.shape[:2]
+    np.testing.assert_allclose(read_linear(path), whole, atol=1e-4)
+    for _ in range(2):
+        found = maps_of(tmp_path, size)["base_color"]
+        np.testing.assert_allclose(found, whole, atol=1e-4)
+        cv2.imwrite(str(path), picture)
+    assert abs(read_linear(path) - whole).max() > 0.1
 
 
 def test_lights_on_disk(tmp_path):

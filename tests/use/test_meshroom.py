@@ -206,6 +206,17 @@ def test_views_are_read_without_hidden_files_under_their_mask(node, poses):
     assert record["mask_pixels"] == 64
 
 
+def test_masks_of_the_mask_folder_by_any_name(node, tmp_path):
+    photograph, masks = tmp_path / "scan[1].png", tmp_path / "masks"
+    with pytest.raises(RuntimeError, match="Mask Folder: expected a folder, got"):
+        node._mask("7", [photograph], str(masks))
+    masks.mkdir()
+    assert node._mask("7", [photograph, tmp_path / "b.png"], str(masks)) is None
+    (masks / "scan[1].png").touch()
+    found = node._mask("7", [photograph, tmp_path / "b.png"], str(masks))
+    assert found == masks / "scan[1].png"
+
+
 def test_failures_stop_or_are_skipped(node, poses):
     broken = poses / "set" / "object0.data"
     for path in broken.iterdir():

@@ -203,6 +203,28 @@ def test_nothing_of_an_earlier_run_stays(tmp_path):
     assert (out / "notes.txt").read_text() == "mine"
 
 
+def test_without_photographs_a_warning_says_that_none_are_turned(tmp_path, capsys):
+    results = given(tmp_path)
+    command = ["--sfm", str(tmp_path / "in.sfm"), "-o", str(tmp_path / "out")]
+    assert main([*results, *command]) == 0
+    assert "to tell how EXIF turned them" not in capsys.readouterr().err
+    for path in tmp_path.glob("place0/*.png"):
+        path.unlink()
+    assert main([*results, *command]) == 0
+    (warned,) = capsys.readouterr().err.splitlines()
+    assert f"warning: {results[0]}: none of its photographs is there" in warned
+
+
+def test_crops_are_refused(tmp_path, capsys):
+    results = given(tmp_path)
+    path = Path(results[1]) / "normals.json"
+    record = json.loads(path.read_text()) | {"options": {"reader": "official"}}
+    path.write_text(json.dumps(record))
+    command = ["--sfm", str(tmp_path / "in.sfm"), "-o", str(tmp_path / "out")]
+    assert main([*results, *command]) == 2
+    assert "got those of a square crop (--reader official)" in capsys.readouterr().err
+
+
 def test_pictures_of_another_shape_are_refused(tmp_path, capsys):
     results = given(tmp_path)
     write_normals(Path(results[1]), seen(1, HEIGHT, HEIGHT))

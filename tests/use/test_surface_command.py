@@ -96,6 +96,9 @@ def test_depth_is_a_prior_of_the_next(files):
         (["--focal", "far"], "--focal: expected pixels above 0, or exif, got far"),
         (["--focal", "exif"], "--focal exif: expected a photograph, got none"),
         (["--scale", "0"], "--scale: expected above 0, got 0.0"),
+        (["--scale", "0.5"], "--scale 0.5: expected its unit, got none; add --unit mm"),
+        (["--prior", "z.npy", "--focal", "90"], "expected a depth above 0 at some"),
+        (["--prior", "nan.npy"], "--prior: expected a depth at some pixel"),
         (["--mask", "small.png"], "expected the normals' size, 48 x 48, got 5 x 4"),
         (["--prior", "mask.png"], "expected depth as an EXR with channel Z"),
         (["--photograph", "photo.png", "--focal", "exif"], "expected EXIF data"),
@@ -104,6 +107,8 @@ def test_depth_is_a_prior_of_the_next(files):
 def test_bad_options_are_one_line(options, message, files, capsys, monkeypatch):
     monkeypatch.chdir(files)
     cv2.imwrite("small.png", np.full((4, 5), 255, np.uint8))
+    np.save("z.npy", np.full((48, 48), -500.0))
+    np.save("nan.npy", np.full((48, 48), np.nan))
     assert surface(["normals.npy", "-o", "out", *options]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
@@ -121,6 +126,18 @@ def test_bad_normals_are_one_line(files, capsys):
         assert surface([str(files / name), "-o", str(files / "out")]) == 2
         error = capsys.readouterr().err
         assert message in error and error.count("\n") == 1
+
+
+def test_files_of_others_names_stay(files):
+    """Names that another command's results have are the reader's own here."""
+    first = [str(files / "normals.npy"), "-o", str(files / "out")]
+    assert surface(first) == 0
+    for name in ("normals.png", "base_color.png", "mine.png"):
+        (files / "out" / name).write_bytes((files / "map.png").read_bytes())
+    assert surface(first) == 0
+    assert surface([str(files / "out" / "normals.png"), *first[1:]]) == 0
+    for name in ("normals.png", "base_color.png", "mine.png"):
+        assert (files / "out" / name).is_file()
 
 
 def test_folders_of_others_are_left_alone(files, capsys):

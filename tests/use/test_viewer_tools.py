@@ -27,6 +27,7 @@ from viewer_page import (
 )
 
 from unips_jax.viewer.page import notes_in, write_tiled_view, write_view
+from unips_jax.viewer.page import page as page_of
 
 pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent")
 
@@ -168,6 +169,22 @@ def test_detail_makes_small_relief_stronger(driver, folder):
     assert half / plain == pytest.approx(3, rel=0.15)
     slide(driver, "detail", 0)
     assert contrast() == pytest.approx(plain, rel=1e-3)
+    assert messages(driver) == []
+
+
+@pytest.mark.parametrize(("kept", "stays"), [(120, True), (90, False), (None, True)])
+def test_a_kept_scale_is_that_of_its_camera(driver, tmp_path, kept, stays):
+    """One without a focal length is of an earlier version's page."""
+    depth = known_results.hemisphere()[1] + 400
+    seen = {"depth": depth, "unit": "mean distances", "focal": 120.0}
+    scale = {"mm": 2.0, "unit": "mean distances"}
+    notes = {"scale": scale if kept is None else {**scale, "focal": kept}}
+    path = tmp_path / "a.html"
+    path.write_text(page_of(known_results.result(**seen), notes=notes))
+    driver.get(path.as_uri())
+    opened(driver)
+    drawn(driver)
+    assert bool(driver.find_elements(By.ID, "scale-bar")) == stays
     assert messages(driver) == []
 
 

@@ -111,7 +111,13 @@ def zipped(item: Object) -> Path:
     if not path.exists() or path.stat().st_mtime < made.stat().st_mtime:
         with (
             new_file(path) as new,
-            zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as z,
+            zipfile.ZipFile(
+                new,
+                "w",
+                zipfile.ZIP_DEFLATED,
+                compresslevel=1,
+                strict_timestamps=False,  # files of before 1980 are packed, too
+            ) as z,
         ):
             for file in sorted(target.iterdir()):
                 z.write(file, f"{target.name}/{file.name}")

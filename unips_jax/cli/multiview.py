@@ -94,6 +94,11 @@ def main(argv: Sequence[str] | None = None) -> None:
 def _camera_of(folder: Path, cameras: list[Camera], sfm: Path) -> Camera:
     """The pose whose photographs these are, else that of the folder's name."""
     record = whole_record(folder)
+    if record.get("options", {}).get("reader") == "official":
+        raise InputError(
+            f"{folder}: expected normals of the whole photographs, got those of a "
+            "square crop (--reader official); estimate without it"
+        )
     source = Path(record["folder"])
     files = {str((source / name).resolve()) for name in record["images"]}
     for camera in cameras:
@@ -115,6 +120,11 @@ def _orientation(camera: Camera, folder: Path) -> int:
     for path in (own, *map(Path, camera.photographs)):
         if path.is_file():
             return image_header(read_bytes(path), path).orientation
+    print(
+        f"warning: {folder}: none of its photographs is there to tell how EXIF turned "
+        "them; they are taken as not turned",
+        file=sys.stderr,
+    )
     return 1
 
 

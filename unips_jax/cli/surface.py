@@ -75,7 +75,8 @@ class Options:
             (perspective), in the unit.
         unit: of the scale, such as mm.
         mesh: also write a mesh.
-        max_faces: simplify the mesh to this many triangles.
+        max_faces: simplify the mesh to this many triangles, and take a grid of as many
+            for --export.
         export: also files for a purpose, one or more of blender, print, archive.
         directx: green is down in the normal map for Blender and games.
         cut: leave out triangles that range over more than this many pixels in depth.
@@ -194,7 +195,7 @@ def _exports(
         )
         write_whole(place / f"{name}.glb", data, sync=False)
     if "print" in options.export:
-        data, made["print"] = printable(depth, scale)
+        data, made["print"] = printable(depth, scale, max_faces=options.max_faces)
         write_whole(place / f"{name}.stl", data, sync=False)
     return made
 
@@ -205,7 +206,10 @@ def _write_archive(options: Options, place: Path) -> list[str]:
     files = {file.name: file for file in results_of(options.normals)}
     files |= {file.name: file for file in place.iterdir()}
     written = [files[key] for key in sorted(files)]
-    packed = archive(name, written, normal_map_of(options.normals))
+    own = options.normals
+    packed = archive(
+        name, written, normal_map_of(own) if own.is_dir() else options.normal_map
+    )
     write_whole(place / f"{name}.zip", packed, sync=False)
     return sorted(files)
 
@@ -229,8 +233,9 @@ def _check(options: Options) -> None:
             option = name.replace("_", "-")
             raise InputError(f"--{option}: expected 0 or more, got {value}")
     model = "blender" in options.export
+    shaped = options.mesh or model or "print" in options.export
     for option, used, needs in (
-        ("max_faces", options.mesh or model, "--mesh or --export blender"),
+        ("max_faces", shaped, "--mesh, --export blender or print"),
         ("directx", model, "--export blender"),
     ):
         if getattr(options, option) and not used:
@@ -238,6 +243,11 @@ def _check(options: Options) -> None:
                 f"--{option.replace('_', '-')}: expected something to use it for, got "
                 f"none; add {needs}"
             )
+    if options.scale != 1 and options.unit is None:
+        raise InputError(
+            f"--scale {options.scale:g}: expected its unit, got none; add --unit mm or "
+            "another"
+        )
     if options.mesh is not None:
         check_mesh_file(Path(f"mesh.{options.mesh}"))
     check_target(options.output, options.normals, record=RECORD)

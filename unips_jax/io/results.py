@@ -231,7 +231,7 @@ def _carry_over(place: Path, new: Path, record: str, patterns: Sequence[str]) ->
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         listed = json.loads((place / record).read_bytes())["files"]
         earlier = dict(listed) if isinstance(listed, dict) else dict.fromkeys(listed)
-    known = _RESULTS if (place / record).is_file() else ()
+    known = _RESULTS if record == RECORD and (place / record).is_file() else ()
     ours = {*known, record, *earlier} - _by_hand(place, new, earlier)
     ours |= {file.name for file in new.iterdir()}
 

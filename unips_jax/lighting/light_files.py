@@ -15,7 +15,8 @@ import numpy as np
 
 from unips_jax.io.color import Transfer, as_linear, srgb_encode
 from unips_jax.io.door import write_json, write_whole
-from unips_jax.io.images import write_exr, write_image
+from unips_jax.io.formats.raster import marked_srgb
+from unips_jax.io.images import encode_image, write_exr
 from unips_jax.lighting.light_fit import (
     Lights,
     Scales,
@@ -77,7 +78,9 @@ def write_base_color(folder: Path, color: np.ndarray) -> dict[str, Any]:
     comments = "base colour, linear, up to a factor; 0: no surface"
     write_exr(folder / "base_color.exr", {"RGB": color}, comments)
     encoded = np.rint(65535 * srgb_encode(color)).astype(np.uint16)
-    write_image(folder / "base_color.png", encoded)
+    # Without a tag 16 bits are taken as linear.
+    picture = marked_srgb(encode_image(".png", encoded))
+    write_whole(folder / "base_color.png", picture, sync=False)
     return {"scale": f"the brightest percent is {_BRIGHT}", "transfer": "png srgb"}
 
 

@@ -51,7 +51,10 @@ def archive(name: str, files: list[Path], normal_map: str = "opengl") -> bytes:
     """
     lines = [f"{name}: normals by unips_jax, and what follows from them.", ""]
     data = io.BytesIO()
-    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as packed:
+    # Files of before 1980 get the first date that there is.
+    with zipfile.ZipFile(
+        data, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False
+    ) as packed:
         for file in files:
             own = file.name in (f"{name}.glb", f"{name}.stl")
             title = file.name if own else f"{name}-{file.name}"

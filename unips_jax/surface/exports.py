@@ -19,7 +19,7 @@ from unips_jax.io.images import encode_image
 from unips_jax.surface.gltf import GltfMesh, encode_glb
 from unips_jax.surface.mesh import METRES, Mesh, mesh_of_depth
 
-_FACES = 100_000
+_FACES, _PRINTED_FACES = 100_000, 1_000_000
 _BASE = 0.04  # of the longest side
 
 
@@ -56,14 +56,10 @@ def blender_model(
         longest_mm: the object's longest side, instead of the scale.
     """
     height, width = depth.shape
-    most = max_faces or _FACES
-    step = max(2, int(np.ceil(np.sqrt(2 * np.isfinite(depth).sum() / most))))
-    coarse = np.full_like(depth, np.nan)
-    coarse[::step, ::step] = depth[::step, ::step]
-    small = mesh_of_depth(coarse[::step, ::step], cut=None)
+    step = max(2, _step(depth, max_faces or _FACES))
+    small = _grid(depth, step)
     _require_faces(small)
-    row, column = np.divmod(small.pixels, coarse[::step, ::step].shape[1])
-    pixels = step * row * width + step * column
+    pixels = small.pixels
     points = _points(depth, pixels, scale)
     points, facts = _sized(points, scale.unit, "m", longest_mm)
     # What the map is relative to, at the vertices and between them.
@@ -89,13 +85,23 @@ def blender_model(
 
 
 def printable(
-    depth: np.ndarray, scale: Scale = _UNKNOWN, *, longest_mm: float | None = None
+    depth: np.ndarray,
+    scale: Scale = _UNKNOWN,
+    *,
+    max_faces: int | None = None,
+    longest_mm: float | None = None,
 ) -> tuple[bytes, dict[str, Any]]:
-    """A watertight `.stl` on a base; arguments and result as of `blender_model`."""
+    """A watertight `.stl` on a base; arguments and result as of `blender_model`.
+
+    Of the grid about `max_faces` triangles are left, a million if not given: base and
+    walls add as many.
+    """
     # Of a surface in parts the largest is taken. Jumps of depth become walls.
     import trimesh
 
-    top = _without_pinches(mesh_of_depth(_largest(depth), cut=None))
+    largest = _largest(depth)
+    step = _step(largest, max_faces or _PRINTED_FACES)
+    top = _without_pinches(_grid(largest, step))
     _require_faces(top)
     points = _points(depth, top.pixels, scale)
     points, facts = _sized(points, scale.unit, "mm", longest_mm)
@@ -113,6 +119,19 @@ def printable(
     faces = np.concatenate([top.faces, top.faces[:, ::-1] + count, walls])
     solid: Any = trimesh.Trimesh(np.concatenate([points, below]), faces, process=False)
     return solid.export(file_type="stl"), {**facts, "faces": len(faces)}
+
+
+def _step(depth: np.ndarray, faces: int) -> int:
+    """Every which pixel gives a grid of at most so many triangles."""
+    return max(1, int(np.ceil(np.sqrt(2 * np.isfinite(depth).sum() / faces))))
+
+
+def _grid(depth: np.ndarray, step: int) -> Mesh:
+    """The mesh of every pixel of a grid; its pixels are numbered as those of depth."""
+    few = depth[::step, ::step]
+    mesh = mesh_of_depth(few, cut=None)
+    row, column = np.divmod(mesh.pixels, few.shape[1])
+    return mesh._replace(pixels=step * (row * depth.shape[1] + column))
 
 
 def _require_faces(mesh: Mesh) -> None:

@@ -105,6 +105,8 @@ def write_surface(
     """
     from unips_jax.surface.images import integrate_image
 
+    if prior is not None:
+        _check_prior(prior, normals, mask, options.focal)
     found = integrate_image(
         normals,
         mask,
@@ -145,3 +147,17 @@ def write_surface(
             unit=unit,
         )
     return facts
+
+
+def _check_prior(
+    prior: np.ndarray, normals: np.ndarray, mask: np.ndarray | None, focal: float | None
+) -> None:
+    """Raises InputError if no pixel with a normal has a known depth."""
+    inside = (normals != 0).any(-1) & (True if mask is None else mask > 0)
+    known = np.isfinite(prior) & ((focal is None) | (prior > 0))
+    if inside.any() and not (inside & known).any():
+        above = "" if focal is None else " above 0"
+        raise InputError(
+            f"--prior: expected a depth{above} at some pixel with a normal, got none; "
+            "depth grows away from the viewer (z towards the viewer is its negative)"
+        )

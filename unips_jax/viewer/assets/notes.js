@@ -38,7 +38,7 @@ class Notes {
   /** What the file keeps. */
   get values() {
     const { notes, views } = this;
-    return { scale: { mm: scale.mm, unit: data.depth?.unit ?? "pixels" }, notes, views };
+    return { scale: { mm: scale.mm, ...measured }, notes, views };
   }
 
   /** Fills both lists. */

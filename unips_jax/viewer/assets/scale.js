@@ -1,8 +1,14 @@
 // Lengths and their unit: millimetres, once two points and their distance are known.
 
+/** What a scale holds for: the depth's unit, and the focal length in the result's pixels. */
+const measured = {
+  unit: data.depth?.unit ?? "pixels",
+  focal: data.camera.focal === null ? null : Math.round(data.camera.focal * data.scale),
+};
+
 const scale = {
-  // Per unit of the depth; null: not known. A kept one is of the unit that it was set in.
-  mm: kept.scale && kept.scale.unit === (data.depth?.unit ?? "pixels") ? kept.scale.mm : data.unit_mm,
+  // Per unit of the depth; null: not known. A kept one is of what it was set for.
+  mm: kept.scale && holds(kept.scale) ? kept.scale.mm : data.unit_mm,
 
   /** A length in the depth's unit, as text. */
   text(length, digits = 1) {
@@ -17,9 +23,13 @@ const scale = {
   },
 };
 
+/** Whether a kept scale is of this result; those of earlier versions name no camera. */
+function holds({ unit, focal }) {
+  return unit === measured.unit && (focal ?? measured.focal) === measured.focal;
+}
+
 function unitName() {
-  const unit = data.depth?.unit ?? "pixels";
-  return data.strings[language][`unit_${unit}`] ?? unit;
+  return data.strings[language][`unit_${measured.unit}`] ?? measured.unit;
 }
 
 /** Millimetres as text, of three digits, in the unit that fits. */

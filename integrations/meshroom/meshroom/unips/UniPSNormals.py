@@ -4,6 +4,7 @@ Needs nothing but the standard library in Meshroom's Python; what computes is th
 command, in an environment of its own.
 """
 
+import glob
 import json
 import logging
 import os
@@ -288,8 +289,10 @@ def _mask(pose: str, given: Path | list[Path], folder: str) -> Path | None:
     """
     photographs = _images(given) if isinstance(given, Path) else given
     if folder:
+        if not Path(folder).is_dir():
+            raise RuntimeError(f"Mask Folder: expected a folder, got {folder}")
         for stem in (pose, *(path.stem for path in photographs)):
-            for path in sorted(Path(folder).glob(f"{stem}.*")):
+            for path in sorted(Path(folder).glob(f"{glob.escape(stem)}.*")):
                 if path.suffix.lower() in IMAGES:
                     return path
     if isinstance(given, Path):
