@@ -24,7 +24,7 @@ from pathlib import Path
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.training.config import Config
 
-SHAPES = Path(__file__).parents[1] / "assets" / "shapes" / "shapes.npz"
+SHAPES = "assets/shapes/shapes.npz"  # where the first command puts them
 
 
 def get_config() -> Config:
@@ -50,7 +50,7 @@ def get_config() -> Config:
             carving_rate=0.3,
             metal_spot_rate=0.3,
             mesh_rate=0.33,
-            mesh_file=str(SHAPES),
+            mesh_file=SHAPES,
         ),
         optim=dataclasses.replace(
             tiny.optim,

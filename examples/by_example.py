@@ -25,6 +25,10 @@ def by_example(*, neighbours: int = 5):
 
     def method(observed):
         lights = observed.lights
+        if lights is None:
+            from unips_jax.baselines.method import Unsupported
+
+            raise Unsupported("by_example: needs the lights")
         seen = observed.images[:, observed.mask] / lights.intensities[:, None]
         found = look_up(seen.mean(-1).T, lights.directions, neighbours)
         normals = np.zeros((*observed.mask.shape, 3), np.float32)
@@ -59,6 +63,9 @@ def main(inputs, outputs):
     import cv2
 
     for folder in sorted(Path(inputs).glob("*.data")):
+        if not (folder / "light_directions.txt").exists():
+            print(f"{folder.name}: its lights are not known, left out")
+            continue
         files = sorted(folder.glob("L_*.png"))
         images = np.stack(
             [cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files]

@@ -97,6 +97,18 @@ def test_directional_light_is_solved_end_to_end(kind):
     np.testing.assert_allclose(length, 1, atol=1e-5)
 
 
+def test_an_outline_next_to_the_border_is_none():
+    normals, mask = scene("cap")
+    images = shade(normals, directional())
+    middle = SIZE // 2
+    inner = (slice(middle - 14, middle + 14),) * 2  # of the cap, all of a rectangle
+    seen = np.pad(images[(slice(None), *inner)], [(0, 0), (1, 1), (1, 1), (0, 0)])
+    found = mpm()(Observed(seen, np.pad(mask[inner], 1)))
+    true = np.pad(normals[inner], [(1, 1), (1, 1), (0, 0)])
+    inside = np.pad(mask[inner], 1)
+    assert error(found, true, inside) < 15 < error(true * 0 + [0, 0, 1], true, inside)
+
+
 def test_upwards_is_up_and_the_relief_stands_out():
     normals, mask = scene("cap")
     images = shade(normals, directional())

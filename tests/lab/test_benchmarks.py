@@ -63,6 +63,18 @@ def test_diligent_drops_the_corrupt_images_of_bear(tmp_path):
     assert item.notes == ("the first 20 images are corrupt: dropped",)
 
 
+def test_diligent_drops_nothing_of_a_bear_without_the_corrupt_images(tmp_path):
+    data.make_diligent(tmp_path, images=76, objects=("bear",))
+    folder = tmp_path / "pmsData" / "bearPNG"
+    for name in ("filenames.txt", "light_directions.txt", "light_intensities.txt"):
+        lines = (folder / name).read_text().splitlines(keepends=True)
+        (folder / name).write_text("".join(lines[20:]))
+    benchmark = open_benchmark("diligent", tmp_path, objects=("bear",))
+    item = benchmark[0]
+    assert len(item.images) == len(item.lights.directions) == 76
+    assert benchmark.entries[0].images[0].name == "021.png" and item.notes == ()
+
+
 def test_diligent_ignores_harvests_upside_down_text(tmp_path):
     data.make_diligent(tmp_path, objects=("harvest",), size=(13, 16))
     folder = tmp_path / "pmsData" / "harvestPNG"

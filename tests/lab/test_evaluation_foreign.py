@@ -12,10 +12,10 @@ import pytest
 from evaluation_folders import errors_of, run, tables_of, truth
 from scipy.io import savemat
 
-from unips_jax.baselines.method import Observed
+from unips_jax.baselines.method import Observed, Unsupported
 from unips_jax.cli import evaluate as evaluation
 from unips_jax.errors import InputError
-from unips_jax.evaluation import axes, protocols
+from unips_jax.evaluation import axes, plan, protocols, publish
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.evaluation.normal_files import Subset, from_files, read_any
 from unips_jax.io.color import srgb_encode
@@ -148,7 +148,7 @@ def test_what_was_stated_wrongly_is_known(
     assert run(objects, tmp_path / "work", "-m", f"files:{made},{stated}") == 0
     warnings = [x for x in capsys.readouterr().err.splitlines() if "warning" in x]
     said = f"files:DIR,{advised} says so" if advised else "files:DIR alone says so"
-    assert len(warnings) == 1 and f"({said})" in warnings[0]
+    assert len(warnings) == 1 and f"(of files, {said})" in warnings[0]
     assert "0.0 degrees when turned" in warnings[0]
 
 
@@ -321,6 +321,30 @@ def test_inputs_are_what_methods_are_given_and_lead_back(tmp_path):
         assert by_method["made", images] == pytest.approx(same, abs=1e-6)
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e-5])
+def test_inputs_of_float_photographs_have_all_levels(tmp_path, scale):
+    """Whatever their unit is, and whatever burns beside the object."""
+    images = scale * np.linspace(0.1, 0.8, 2 * 400 * 3).reshape(2, 20, 20, 3)
+    images[:, 0, 0] = 5000
+    mask = np.ones((20, 20), bool)
+    mask[0, 0] = False
+    seen = Observed(images.astype(np.float32), mask)
+    publish._write_observed(tmp_path, seen, None)
+    stored = cv2.imread(str(tmp_path / "L_002.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    expected = images[1] / images[:, mask].max() * 65535
+    np.testing.assert_allclose(stored[mask], expected[mask], atol=0.6)
+
+
+def test_backgrounds_of_nothing_are_read_from_images_too(objects, tmp_path, capsys):
+    normals = truth(0)
+    normals[normals[..., 2] == 0] = np.nan
+    write_exr(tmp_path / "cup.exr", {"RGB": normals})
+    chosen = ["--objects", "cup", "-m", f"files:{tmp_path},name=mine"]
+    assert run(objects, tmp_path / "work", *chosen) == 0
+    assert errors_of(tmp_path / "work")["mine"] < 0.1
+    assert plan._faces_away(normals * [1, 1, -1]) and not plan._faces_away(normals)
+
+
 def test_two_folders_of_one_name(tmp_path):
     for name in ("a/out", "b/out"):
         (tmp_path / name).mkdir(parents=True)
@@ -346,6 +370,13 @@ def test_the_example_is_the_same_as_a_function_and_as_a_program(tmp_path, monkey
     assert found["made"] < 3 < 30 < found["constant"]
     # The program's photographs were rounded to 16 bits.
     assert found["by_example:neighbours=5"] == pytest.approx(found["made"], abs=0.05)
+    # Without lights there is nothing to compare with, and that is no crash.
+    with pytest.raises(Unsupported, match="needs the lights"):
+        script["by_example"]()(Observed(np.ones((1, 2, 2, 3)), np.ones((2, 2), bool)))
+    for name in work.glob("inputs/*.data/light_directions.txt"):
+        name.unlink()
+    script["main"](work / "inputs", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(("sign", "warned"), [(1, False), (-1, True)])

@@ -70,6 +70,36 @@ def test_what_a_function_returns_is_stored_as_unit_vectors(module, objects, tmp_
     assert errors_of(tmp_path / "work")["long"] < 0.1
 
 
+def test_a_function_may_write_into_what_it_is_given(module, objects, tmp_path):
+    """Methods after it, and the score, see what was there before."""
+    module.write_text(
+        "def greedy():\n    def method(observed):\n"
+        "        observed.images[...] = 0\n        observed.mask[:12] = False\n"
+        "        return observed.images[0]\n    return method\n"
+    )
+    alone, after = tmp_path / "alone", tmp_path / "after"
+    methods = ["hemisphere", "constant"]
+    assert run(objects, alone, "-m", *methods) == 0
+    assert run(objects, after, "-m", "python:my_methods:greedy", *methods) == 0
+    found = errors_of(after)
+    assert found.pop("greedy") == 90
+    assert found == errors_of(alone)
+
+
+def test_a_folder_as_option_is_known_by_its_files(module, tmp_path):
+    module.write_text("def learnt(*, weights=''):\n    return lambda observed: None\n")
+    folder = tmp_path / "checkpoint"
+    folder.mkdir()
+    keys = []
+    for text in ("a", "ab"):
+        (folder / "state").write_text(text)
+        variant, _ = load_variants(
+            [f"python:my_methods:learnt:weights={folder}"], NO_WEIGHTS
+        )
+        keys.append(variant.key["options"])
+    assert keys[0] != keys[1]
+
+
 @pytest.mark.parametrize(
     ("returned", "message"),
     [

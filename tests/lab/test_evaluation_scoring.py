@@ -254,7 +254,7 @@ def test_options_are_read_and_reach_the_method():
         ("gcnet", "expected a file of weights"),
         ("gcnet:weights=nowhere.safetensors", "expected a file of weights"),
         ("unips:size=3", "--canonical-size"),
-        ("unips:lights=False", "expected fast=true, lights=true or lights=20"),
+        ("unips:lights=False", "expected fast=true, lights=true, lights=20"),
     ],
 )
 def test_bad_requests(request_, message):
@@ -343,6 +343,15 @@ def test_unips_variants_get_their_own_settings(tmp_path, monkeypatch):
     }
     keys = {json.dumps(variant.key, sort_keys=True) for variant in variants}
     assert len(keys) == 5
+
+
+def test_the_oracle_works_for_unips_too(tmp_path):
+    weights = data.small_weights(tmp_path / "a.safetensors")
+    options = UnipsOptions([str(weights)])
+    oracle, plain, _ = load_variants(["unips:sign=oracle", "unips"], options)
+    assert (oracle.label, plain.label) == ("unips\N{DAGGER}", "unips")
+    assert oracle.oracle and not plain.oracle and oracle.key != plain.key
+    assert "chosen by the truth" in oracle.about
 
 
 def test_weights_are_known_by_their_contents(tmp_path):

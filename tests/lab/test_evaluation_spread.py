@@ -192,6 +192,14 @@ def test_figures_are_compared_view_by_view():
     assert (pair.mean, pair.other, pair.lower) == (1, 2, 1)
 
 
+def test_figures_are_compared_on_the_seeds_that_both_have():
+    rows = [("a", 0, 10.0), ("a", 1, 30.0), ("b", 0, 11.0)]
+    made = [("mine", "x", "sun", "", m, 4, s, "mae_deg", e) for m, s, e in rows]
+    found = figures.Figures(*map(np.array, zip(*made, strict=True)))
+    pair = found.compare("a", "b")
+    assert (pair.mean, pair.other, pair.lower) == (10, 11, 1)
+
+
 def test_seeds_that_draw_the_same_are_computed_once(work):
     drawn = {tuple(choose_images(3, 4, seed=seed)) for seed in (0, 1, 2)}
     assert len(drawn) == 2  # of three of four images, two seeds drew the same

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from unips_jax.cli import render
+from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
-from unips_jax.io.ps_wild import write_folder
+from unips_jax.io.ps_wild import focal_facts, write_folder
 from unips_jax.scenes import SHAPE_KINDS, Scene, folders
 from unips_jax.surface.depth_files import read_depth
 
@@ -81,10 +82,11 @@ def test_light_beyond_white_is_white_and_depth_ends_with_the_object(tmp_path, sc
     np.testing.assert_array_equal(found, np.where(scene.mask, 7, 0))
 
 
-def test_focal_lengths_are_told_in_pixels_too(scene):
+def test_focal_lengths_are_for_a_frame_that_is_cropped(scene):
+    """So that nobody takes the optical axis to be in the picture's middle."""
     facts = folders.describe(scene._replace(focal=np.float32(18)))
-    assert facts["focal_mm"] == 18 and facts["focal"] == 6  # of 12 pixels' width
-    assert "focal" not in folders.describe(scene)
+    assert facts["focal_mm"] == 18 and "focal" not in facts
+    assert focal_facts(18, 12) == {"focal_mm": 18, "focal": 6}  # of 12 pixels' width
 
 
 def test_a_folder_written_again_has_no_photographs_of_the_earlier(tmp_path):
@@ -99,6 +101,24 @@ def test_a_folder_written_again_has_no_photographs_of_the_earlier(tmp_path):
     assert names == (
         ["L_00.png", "L_01.png", "lights.txt", "mask.png", "meta.json", "normal.tif"]
     )
+
+
+def test_photographs_of_ones_own_are_not_replaced(tmp_path):
+    mask, normals = np.ones((8, 8), bool), np.zeros((8, 8, 3), np.float32)
+    folder = tmp_path / "cup.data"
+    folder.mkdir()
+    for name in ("L_001.png", "light_setup.png"):
+        (folder / name).write_bytes(b"mine")
+    with pytest.raises(InputError, match=r"such as L_001\.png; choose another"):
+        write_folder(folder, np.ones((2, 8, 8, 3)), mask, normals, {})
+    assert sorted(path.name for path in folder.iterdir()) == (
+        ["L_001.png", "light_setup.png"]
+    )
+    # Nor are they where it wrote before, but for names that its own have.
+    (folder / "L_001.png").unlink()
+    (folder / "meta.json").write_text("{}")
+    write_folder(folder, np.ones((2, 8, 8, 3)), mask, normals, {})
+    assert (folder / "light_setup.png").read_bytes() == b"mine"
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path, scene):

@@ -200,6 +200,17 @@ def test_pick_and_spread_ignore_what_is_not_masked():
     np.testing.assert_allclose(full[mask], 3.0, rtol=1e-3)
 
 
+@pytest.mark.parametrize("stride", [2, 4])
+def test_what_is_picked_comes_back_to_its_place(stride):
+    """No shadow lies half a pixel off what casts it."""
+    mask = jnp.ones((16, 24), bool)
+    rows, columns = jnp.mgrid[:16, :24].astype(jnp.float32)
+    for ramp in (rows, columns):
+        full = grids.spread(grids.pick(ramp, mask, stride), mask, stride)
+        inner = (slice(stride, -stride),) * 2
+        np.testing.assert_allclose(full[inner], ramp[inner], atol=1e-3)
+
+
 def test_the_sky_may_have_many_directions():
     config = SceneConfig(num_directions=100)
     render = functools.partial(geometry.render_geometry, size=16, config=config)

@@ -1,6 +1,7 @@
 """The light that scenes and folders know of, against closed forms."""
 
 import functools
+import types
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,13 @@ from known_objects import constant_environment, look, make_shape, matt
 from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
 from unips_jax.scenes import SceneConfig, folder_light
 from unips_jax.scenes import render as scenes_render
-from unips_jax.scenes.backdrop import Backdrop
+from unips_jax.scenes.backdrop import Backdrop, draw_backdrop
+from unips_jax.scenes.config import LIGHT_KINDS
+from unips_jax.scenes.draws import Draws
+from unips_jax.scenes.geometry import _basis_directions
 from unips_jax.scenes.incident import incident_light
-from unips_jax.scenes.lamps import KeyLights
+from unips_jax.scenes.lamps import KeyLights, draw_lights
+from unips_jax.scenes.shading import light_means
 
 GAIN = np.float32([[0.5, 1, 2]])
 
@@ -86,6 +91,28 @@ def test_a_wall_hides_what_is_behind_it():
     np.testing.assert_allclose(
         light[:3], integral * [0.2821, 0.4886, 0.4886], atol=0.05
     )
+
+
+@pytest.mark.parametrize("wall", [False, True])
+def test_mean_directions_are_those_of_the_harmonics(wall):
+    """So that what is learnt of one light does not contradict the other."""
+
+    @jax.jit
+    @jax.vmap
+    def both(key):
+        first, second, third = jax.random.split(key, 3)
+        backdrop = draw_backdrop(Draws(first, 32), 1.0, jnp.asarray(wall))
+        kind = jnp.int32(LIGHT_KINDS.index("environment"))
+        keys, around = draw_lights(Draws(second, 160 + 24 * 2), kind, 2)
+        directions = _basis_directions(Draws(third, 128), 24)
+        seen = types.SimpleNamespace(directions=directions, backdrop=backdrop)
+        light = incident_light(keys, around, jnp.ones((2, 3)), backdrop)
+        return light_means(seen, keys, around), light.harmonics.mean(-1)
+
+    means, light = map(np.asarray, both(jax.random.split(jax.random.key(0), 16)))
+    expected = light[..., [3, 1, 2]] / 0.4886 / (light[..., :1] / 0.2821)
+    # With what the wall hides: 0.33.
+    assert np.linalg.norm(means - expected, axis=-1).mean() < 0.17
 
 
 def test_harmonics_are_in_the_units_of_the_images(monkeypatch):

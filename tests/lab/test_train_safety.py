@@ -23,6 +23,7 @@ from unips_jax.train import load_config, main
 from unips_jax.training import loop
 from unips_jax.training.checkpoints import changed_fields
 from unips_jax.training.config import Config, DataConfig, MeshConfig
+from unips_jax.training.loss import LossOptions
 from unips_jax.training.safety import (
     alone_in,
     check_finite,
@@ -31,7 +32,7 @@ from unips_jax.training.safety import (
 )
 from unips_jax.training.sharding import make_mesh
 from unips_jax.training.state import TrainState
-from unips_jax.weights import save_weights
+from unips_jax.weights import load_weights, save_weights, weights_hash
 
 CONFIG = Config(data=DataConfig(source="mixture", root="a", batch_size=8))
 MESH = make_mesh(MeshConfig(data=1))
@@ -64,6 +65,7 @@ def test_what_a_run_learns_from_may_not_change(part, field, value):
     [
         ("data", "root", "b"),
         ("data", "workers", 2),
+        ("scenes", "mesh_file", "elsewhere/shapes.npz"),
         ("model", "remat", True),
         ("mesh", "microbatches", 2),
         ("train", "steps", 7),
@@ -274,10 +276,69 @@ def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
     assert (record["best_mae_deg"], record["best_step"]) == (35, 10)
 
 
+def test_weights_of_a_run_whose_checkpoints_are_gone_stay(tmp_path):
+    (tmp_path / "best.safetensors").write_bytes(b"mine")
+    scenes = dataclasses.replace(CONFIG.data, source="scenes")
+    config = dataclasses.replace(CONFIG, data=scenes, model=SMALL_OURS)
+    with pytest.raises(InputError, match=r"checkpoints beside its best\.safetensors"):
+        loop.train(config, tmp_path)
+    assert (tmp_path / "best.safetensors").read_bytes() == b"mine"
+
+
+def test_a_run_goes_on_from_the_weights_it_began_with(tmp_path):
+    files = []
+    for index, change in enumerate((0.0, 1.0)):
+        files.append(str(tmp_path / f"{index}.safetensors"))
+        params = jax.tree.map(lambda x, by=change: x + by, lively_weights(SMALL_OURS))
+        save_weights(files[-1], UniversalNetwork(SMALL_OURS, params))
+    begun = {"init": weights_hash(load_weights(files[0]))}
+    for given, record in (
+        (files[0], begun),
+        (None, begun),
+        (str(tmp_path / "gone.safetensors"), begun),
+        (files[1], {}),  # of an earlier version
+    ):
+        loop._check_same_start(given, record)
+    with pytest.raises(InputError, match="those of hash .*, got weights of hash"):
+        loop._check_same_start(files[1], begun)
+    with pytest.raises(InputError, match="began with, drawn ones, got weights of"):
+        loop._check_same_start(files[1], {"init": None})
+
+
+def test_a_mesh_takes_all_devices_of_several_processes(monkeypatch):
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    monkeypatch.setattr(jax, "device_count", lambda: 8)
+    with pytest.raises(InputError, match="expected all 8 devices of the 2 processes"):
+        make_mesh(MeshConfig(data=4))
+    with pytest.raises(InputError, match="or take fewer processes"):
+        check_input(CONFIG, SimpleNamespace(size=3))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"pixel_blocks": True}, "pixel_blocks: expected no grid_loss with them"),
+        ({"grid_loss": False, "steepness_weight": 1.0}, "expected pixel_blocks, got"),
+        ({"differences_weight": 1.0}, "expected pixel_blocks, got none"),
+    ],
+)
+def test_losses_that_mean_nothing_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        LossOptions(num_pixels=64, **options)
+
+
+def test_tokens_need_scenes_that_know_the_light():
+    model = dataclasses.replace(SMALL_OURS, light_tokens=True)
+    for change in ({"augment": True}, {"source": "folders", "augment": False}):
+        data = dataclasses.replace(CONFIG.data, **change)
+        with pytest.raises(ValueError, match="light_tokens: expected scenes"):
+            Config(model=model, data=data)
+
+
 def test_weights_join_a_network_that_has_grown(tmp_path):
     """What they have is taken, what they lack stays as drawn; not the other way."""
     grown = dataclasses.replace(SMALL_OURS, fine_dim=5, light_tokens=True)
-    data = dataclasses.replace(CONFIG.data, grid_loss=False)
+    data = dataclasses.replace(CONFIG.data, grid_loss=False, augment=False)
     files = {}
     for model in (SMALL_OURS, grown):
         files[model] = tmp_path / f"{model.fine_dim}.safetensors"

@@ -26,6 +26,8 @@ from unips_jax.io.door import NotWritten
         ("nul.png", "nul_.png"),
         ("COM1", "COM_1"),
         ("console.png", "console.png"),
+        ("\U0001f4f7.jpg", "photograph.jpg"),
+        ("!.png", "photograph.png"),
     ],
 )
 def test_names_are_cleaned(name, cleaned):

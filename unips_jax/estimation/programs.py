@@ -86,11 +86,13 @@ def kept(function: Callable[..., tuple[Any, ...]], *, rarely_run: bool = False) 
         if place is not None:
             exported = _read(place)
             if exported is None:
-                exported = jax.export.export(traced)(*arrays)
+                # By itself it is for the default backend, whatever the device.
+                only = ["cpu"] if default_device().platform == "cpu" else None
+                exported = jax.export.export(traced, platforms=only)(*arrays)
                 _write(place, exported)
             traced = jax.jit(exported.call)
         chosen = "xla_backend_optimization_level" in os.environ.get("XLA_FLAGS", "")
-        less = rarely_run and not chosen and jax.default_backend() == "cpu"
+        less = rarely_run and not chosen and default_device().platform == "cpu"
         options: Any = {"xla_backend_optimization_level": 1} if less else None
         return traced.lower(*arrays).compile(options)
 
@@ -101,13 +103,22 @@ def kept(function: Callable[..., tuple[Any, ...]], *, rarely_run: bool = False) 
     return Kept(find)
 
 
+def default_device() -> jax.Device:
+    """Where arrays are put that nobody placed."""
+    chosen = getattr(jax.config, "jax_default_device", None)
+    if isinstance(chosen, jax.Device):
+        return chosen
+    return jax.local_devices(backend=chosen)[0]
+
+
 def _place(name: str, *facts: Any) -> Path | None:
     """The file of a program, if there is a folder for it."""
     folder = getattr(jax.config, "jax_compilation_cache_dir", None)
     if not folder:
         return None
     digest = hashlib.blake2b(digest_size=16)
-    known = (name, *facts, jax.default_backend(), jax.__version__, __version__, _code())
+    platform = default_device().platform
+    known = (name, *facts, platform, jax.__version__, __version__, _code())
     for fact in known:
         digest.update(f"{fact}\n".encode())
     return Path(folder) / "programs" / f"{digest.hexdigest()}.jax"

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from unips_jax.checks import require_choice
-from unips_jax.estimation.programs import kept
+from unips_jax.estimation.programs import default_device, kept
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.models import chunks
 from unips_jax.models.config import check_lights
@@ -122,7 +122,7 @@ def estimate_with_lights(
     mask = mask.astype(bool)
     check_mask(mask.shape, images.shape)
     require_choice("transfer", transfer, get_args(Transfer))
-    network = jax.device_put(network, _device())
+    network = jax.device_put(network, default_device())
     if lights is not None:
         lights = np.asarray(lights)
         check_lights(network.config, lights.shape, len(images))
@@ -259,14 +259,6 @@ def _side_by_side(
         finally:
             for _, future in running:
                 future.cancel()
-
-
-def _device() -> jax.Device:
-    """Where arrays are put that nobody placed."""
-    chosen = getattr(jax.config, "jax_default_device", None)
-    if isinstance(chosen, jax.Device):
-        return chosen
-    return jax.local_devices(backend=chosen)[0]
 
 
 def padded_size(count: int) -> int:

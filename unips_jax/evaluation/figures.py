@@ -71,8 +71,8 @@ class Figures:
     ) -> Pair:
         """Compares two methods on what both have, object by object; lower is better.
 
-        `wanted` is as in `pick`; over seeds, and whatever else is left, the mean is
-        taken. `ValueError` if they share nothing.
+        `wanted` is as in `pick`. Over what is left of an object, such as seeds, the
+        mean of what both have is taken. `ValueError` if they share nothing.
         """
         errors = [
             self.pick(method=name, measure=measure, **wanted)._by_object()
@@ -88,7 +88,8 @@ class Figures:
 
     def _by_object(self) -> dict[str, dict[str, float]]:
         found: dict[str, dict[str, list[float]]] = {}
-        places = zip(self.lighting, self.view, self.images, strict=True)
+        columns = (self.lighting, self.view, self.images, self.seed)
+        places = zip(*columns, strict=True)
         for name, place, value in zip(self.object, places, self.value, strict=True):
             entry = " ".join(map(str, place))
             found.setdefault(str(name), {}).setdefault(entry, []).append(float(value))

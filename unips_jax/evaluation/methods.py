@@ -63,7 +63,10 @@ def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]
     for request in dict.fromkeys([*expanded, "constant"]):
         name, _, options = request.partition(":")
         if name == "unips":
-            variants += _unips_variants(unips, _unips_options(request, options))
+            asked = parse_options(request, options)
+            oracle = take_oracle(asked)
+            asked = _unips_options(request, asked)
+            variants += _unips_variants(unips, asked, oracle=oracle)
         elif name == "files":
             variants.append(from_files(request))
         elif name == "python":
@@ -150,9 +153,8 @@ def _calibrated(request: str, value: str) -> Method:
     return _baseline(value, value, {}).run
 
 
-def _unips_options(request: str, text: str) -> dict[str, Any]:
+def _unips_options(request: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """`fast`, True, and `lights`, degrees of error; those that are asked for."""
-    options = parse_options(request, text)
     found: dict[str, Any] = {}
     for name, value in options.items():
         known = True if value == "true" else value
@@ -165,15 +167,17 @@ def _unips_options(request: str, text: str) -> dict[str, Any]:
             found["lights"] = 0.0 if known is True else float(known)
         else:
             raise InputError(
-                f"method {request!r}: expected fast=true, lights=true or lights=20 "
-                f"(degrees of error, below 90), got {name}={value}; weights are given "
-                "by --weights, further options by --canonical-size and "
-                "--uniform-contexts"
+                f"method {request!r}: expected fast=true, lights=true, lights=20 "
+                f"(degrees of error, below 90) or sign=oracle, got {name}={value}; "
+                "weights are given by --weights, further options by --canonical-size "
+                "and --uniform-contexts"
             )
     return found
 
 
-def _unips_variants(unips: UnipsOptions, asked: Mapping[str, Any]) -> Iterator[Variant]:
+def _unips_variants(
+    unips: UnipsOptions, asked: Mapping[str, Any], *, oracle: bool
+) -> Iterator[Variant]:
     from unips_jax.models.config import require_known_lights
     from unips_jax.weights import load_weights, weights_hash
 
@@ -186,7 +190,8 @@ def _unips_variants(unips: UnipsOptions, asked: Mapping[str, Any]) -> Iterator[V
                 require_known_lights(config)
             except ValueError as error:
                 raise InputError(f"--weights {source}: {error}") from None
-        base = f"unips {Path(source).stem}" if several else "unips"
+        base = label_of("unips", {}, oracle=oracle)
+        base += f" {Path(source).stem}" * several
         base += " fast" * ("fast" in asked)
         if "lights" in asked:
             base += " lights" + f" {asked['lights']:g}" * (asked["lights"] > 0)
@@ -200,15 +205,20 @@ def _unips_variants(unips: UnipsOptions, asked: Mapping[str, Any]) -> Iterator[V
             for uniform in (False, True)[: 1 + unips.uniform_contexts]:
                 options = {"canonical_size": size, "uniform_contexts": uniform}
                 options |= asked
-                key = {"method": "unips", "options": options, "weights": weights}
+                key: dict[str, Any] = {"method": "unips", "options": options}
+                key["weights"] = weights
                 key["method_code"] = code_hash("estimation.streaming")
+                if oracle:
+                    key["oracle"] = True
+                about = "UniPS (Ikehata, CVPR 2022) with the weights "
+                about += f"{Path(source).name}, hash {weights}"
                 resized = dataclasses.replace(network, config=sized)
                 yield Variant(
                     label + " uniform contexts" * uniform,
                     key,
                     _unips(resized, uniform, **asked),
-                    f"UniPS (Ikehata, CVPR 2022) with the weights {Path(source).name}, "
-                    f"hash {weights}",
+                    described(about, oracle=oracle),
+                    oracle,
                 )
 
 

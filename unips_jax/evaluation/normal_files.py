@@ -37,7 +37,7 @@ from unips_jax.evaluation.variants import (
 from unips_jax.io.color import as_linear
 from unips_jax.io.images import read_image_file
 from unips_jax.io.normal_values import OVERRULE, decode_values
-from unips_jax.io.normals import decode_normals, read_numbers, require_normal_map
+from unips_jax.io.normals import decode_normals, read_numbers, require_three_channels
 from unips_jax.provenance import code_hash
 
 # Those that lose least come first.
@@ -188,7 +188,7 @@ def _stored(path: Path) -> np.ndarray:
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".mat"):
         file = read_image_file(path, vectors=True)
-        require_normal_map(file)
+        require_three_channels(file)  # the background may be NaN
         return file.pixels
     values = read_numbers(path) if suffix == ".npy" else files.read_mat_normals(path)
     if values.ndim != 3 or values.shape[2] != 3:

@@ -152,7 +152,7 @@ def check_normal_files(plan: Plan) -> None:
 
 
 def _faces_away(normals: np.ndarray) -> bool:
-    known = normals.any(-1)
+    known = normals.any(-1) & np.isfinite(normals).all(-1)
     return bool(known.any()) and float((normals[..., 2][known] < 0).mean()) > 0.95
 
 

@@ -119,8 +119,9 @@ def write_inputs(plan: Plan, folder: Path) -> Iterator[Path]:
 
     `OBJECT.data/L_001.png` and so on, linear 16-bit photographs; `mask.png`; where the
     lights are known, `light_directions.txt` and `light_intensities.txt`, a line `x y z`
-    or `R G B` per photograph. Where the run has several subsets of images, a folder for
-    each. Yields each object's folder.
+    or `R G B` per photograph. Photographs of floats are scaled together, so that the
+    object's brightest value is 65535. Where the run has several subsets of images, a
+    folder for each. Yields each object's folder.
     """
     for index, entry in enumerate(plan.benchmark.entries):
         item = plan.benchmark[index]
@@ -130,12 +131,14 @@ def write_inputs(plan: Plan, folder: Path) -> Iterator[Path]:
             place = folder if subset.alone else folder / subset.folder
             place /= f"{entry.name.replace('/', '_')}.data"
             with appearing_at_once(place, ours=_INPUTS) as new:
-                _write_observed(new, case.observed)
+                whole = item.images.dtype.kind != "f"
+                _write_observed(new, case.observed, top=1.0 if whole else None)
         yield place
 
 
-def _write_observed(place: Path, observed: Observed) -> None:
-    top = max(1.0, float(observed.images.max()))
+def _write_observed(place: Path, observed: Observed, top: float | None) -> None:
+    if top is None:
+        top = float(observed.images[:, observed.mask].max(initial=1e-30))
     for i, image in enumerate(observed.images):
         pixels = np.rint(np.clip(image / top, 0, 1) * 65535).astype(np.uint16)
         write_whole(place / f"L_{i + 1:03d}.png", encode_image(".png", pixels))

@@ -4,6 +4,7 @@ Processes that share a work folder pass over each other's tasks and wait for the
 end.
 """
 
+import copy
 import dataclasses
 import re
 import time
@@ -152,7 +153,10 @@ def estimate(variant: Variant, case: Case) -> Estimated:
     """Runs a method: normals `[h, w, 3]`, float32, and its figures."""
     if variant.oracle and case.normals is None:
         raise Unsupported("sign=oracle: needs the true normals, which are withheld")
-    found = variant.run(case.observed)
+    observed = case.observed
+    if variant.foreign and not variant.files:  # which may write into what it is given
+        observed = copy.deepcopy(observed)
+    found = variant.run(observed)
     estimated = found if isinstance(found, Estimated) else Estimated(found, {})
     try:
         normals = np.asarray(estimated.normals, np.float32)

@@ -104,11 +104,25 @@ def is_file(value: Any) -> bool:
 
 
 def hashed(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options as they stand in result keys: a file stands for its contents."""
-    return {
-        key: bytes_hash(Path(value).read_bytes()) if is_file(value) else value
-        for key, value in options.items()
-    }
+    """Options as they stand in result keys: a file stands for its contents.
+
+    A folder stands for its files' names, sizes and dates.
+    """
+    return {key: _contents(value) for key, value in options.items()}
+
+
+def _contents(value: Any) -> Any:
+    if is_file(value):
+        return bytes_hash(Path(value).read_bytes())
+    if not (isinstance(value, str) and Path(value).is_dir()):
+        return value
+    lines = []
+    for path in sorted(Path(value).rglob("*")):
+        if path.is_file():
+            facts = path.stat()
+            name = path.relative_to(value).as_posix()
+            lines.append(f"{name} {facts.st_size} {facts.st_mtime_ns}\n")
+    return bytes_hash("".join(lines).encode(errors="surrogateescape"))
 
 
 def bytes_hash(data: bytes) -> str:

@@ -115,11 +115,16 @@ def normals_of(file: ImageFile) -> np.ndarray:
 
 def require_normal_map(file: ImageFile) -> None:
     """Refuses images of other than three channels, or of values that are not finite."""
+    require_three_channels(file)
+    require_finite(file.path, file.pixels)
+
+
+def require_three_channels(file: ImageFile) -> None:
+    """Refuses images of other than three channels."""
     if file.pixels.shape[2] != 3:
         raise InputError(
             f"{file.path}: expected a normal map of 3 channels, got {file.channels}"
         )
-    require_finite(file.path, file.pixels)
 
 
 def has_unit_length(normals: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:

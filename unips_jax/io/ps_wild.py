@@ -30,7 +30,7 @@ from unips_jax.io.door import write_json
 from unips_jax.io.images import read_image, write_exr, write_image
 from unips_jax.io.naming import in_order
 from unips_jax.io.normals import encode_normals, has_unit_length, read_normals
-from unips_jax.io.results import appearing_at_once
+from unips_jax.io.results import UNSEEN, appearing_at_once
 from unips_jax.io.selection import is_photograph
 
 META, NORMALS, MASK = "meta.json", "normal.tif", "mask.png"
@@ -117,6 +117,9 @@ def write_folder(
 ) -> None:
     """Writes one object; the folder appears only when it is complete.
 
+    An object that was written there before is replaced; other files in it stay. The
+    photographs it is made from belong elsewhere.
+
     Args:
         folder: `X.data`.
         images: `[H, W, 3]` each, linear, 1 becomes 65535.
@@ -127,9 +130,19 @@ def write_folder(
             under their names.
         depth: `[H, W]`, kept as `depth.exr`; 0 outside the mask.
         name: of the images' files, by number.
+
+    Raises:
+        InputError: if the folder holds files, but no `meta.json`: it is somebody's own.
     """
-    earlier = "[0lL]*.png [0lL]*.tif baseColor.tif roughness.tif metal.tif".split()
-    with appearing_at_once(Path(folder), record=META, ours=earlier) as place:
+    folder = Path(folder)
+    own = folder.is_dir() and {path.name for path in folder.iterdir()} - UNSEEN
+    if own and META not in own:
+        raise InputError(
+            f"{folder}: expected a new folder, or one that was written here before "
+            f"({META}), got one with other files, such as {min(own)}; choose another"
+        )
+    earlier = "L_[0-9]*.png [0-9]*.tif baseColor.tif roughness.tif metal.tif".split()
+    with appearing_at_once(folder, record=META, ours=earlier) as place:
         _write_files(place, images, mask, normals, name)
         for title, values in (maps or {}).items():
             write_image(place / f"{title}.tif", encode_linear(values))

@@ -41,7 +41,7 @@ _RESULTS = frozenset(
 )
 _MASK, _VIEW = "mask.png", "view.html"
 # What file managers leave in folders that look empty in them.
-_UNSEEN = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
+UNSEEN = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
 _EDITABLE = frozenset([_VIEW])  # readers save their notes into it
 _WITHOUT_NOTES = b'<script type="application/json" id="notes">{}</script>'
 # Names apart from the results': those may be as long as names can be.
@@ -184,7 +184,7 @@ def _check_target(target: Path, source: Path, record: str) -> None:
             f"{target}: expected a folder for the results, got a file; choose another "
             "-o"
         )
-    others = there and {path.name for path in place.iterdir()} - _UNSEEN
+    others = there and {path.name for path in place.iterdir()} - UNSEEN
     if others and not (place / record).is_file():
         raise InputError(
             f"{target}: expected a new folder or one with earlier results "
@@ -231,7 +231,10 @@ def _carry_over(place: Path, new: Path, record: str, patterns: Sequence[str]) ->
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         listed = json.loads((place / record).read_bytes())["files"]
         earlier = dict(listed) if isinstance(listed, dict) else dict.fromkeys(listed)
-    known = _RESULTS if record == RECORD and (place / record).is_file() else ()
+    known: frozenset[str] = frozenset()
+    if record == RECORD and (place / record).is_file():
+        # Early versions listed no files; `unips view` adds its page to any.
+        known = frozenset([_VIEW]) if earlier else _RESULTS
     ours = {*known, record, *earlier} - _by_hand(place, new, earlier)
     ours |= {file.name for file in new.iterdir()}
 

@@ -18,7 +18,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.claims import claimed
 from unips_jax.io.door import write_whole
 from unips_jax.io.images import encode_image
-from unips_jax.io.ps_wild import focal_facts, read_meta, write_folder
+from unips_jax.io.ps_wild import read_meta, write_folder
 from unips_jax.provenance import code_hash
 from unips_jax.scenes import (
     LIGHT_KINDS,
@@ -46,7 +46,7 @@ def describe(scene: Scene) -> dict[str, Any]:
         "light": LIGHT_KINDS[int(scene.light_kind)],
         "shape": SHAPE_NAMES[int(scene.shape_kind)],
         "material": MATERIALS[int(scene.material)],
-        **focal_facts(focal_mm, scene.mask.shape[-1]),
+        # Not `focal`, in pixels: frames are cropped beside the optical axis.
         "focal_mm": round(focal_mm, 3) or None,
     }
     if facts["light"] == "directional":

@@ -27,9 +27,13 @@ def pick(values: Array, mask: Array, stride: int) -> Array:
     return jnp.einsum("...hiwj,hwij->...hw", tiles, one_hot)
 
 
-def stretch(coarse: int, stride: int) -> Array:
-    """Bilinear enlargement as a matrix, `[coarse * stride, coarse]`."""
-    at = (jnp.arange(coarse * stride) + 0.5) / stride - 0.5
+def stretch(coarse: int, stride: int, first: float | None = None) -> Array:
+    """Bilinear enlargement as a matrix, `[coarse * stride, coarse]`.
+
+    `first` is the pixel where the first value belongs, by default its block's middle.
+    """
+    first = (stride - 1) / 2 if first is None else first
+    at = (jnp.arange(coarse * stride) - first) / stride
     at = jnp.clip(at, 0, coarse - 1)
     return jnp.maximum(1 - jnp.abs(at[:, None] - jnp.arange(coarse)), 0.0)
 
@@ -39,5 +43,6 @@ def spread(values: Array, mask: Array, stride: int) -> Array:
     h, w = values.shape[-2:]
     full = jnp.any(mask.reshape(h, stride, w, stride), axis=(1, 3))
     weight = full.astype(jnp.float32) + 1e-6
-    rows, columns = stretch(h, stride), stretch(w, stride).T
+    first = (stride - 1) // 2  # the pixel of a whole block that `pick` takes
+    rows, columns = stretch(h, stride, first), stretch(w, stride, first).T
     return (rows @ (values * weight) @ columns) / (rows @ weight @ columns)

@@ -20,7 +20,7 @@ from unips_jax.lighting.reflectance import (
     fresnel_f0,
     reflectance,
 )
-from unips_jax.scenes.backdrop import ray_clearance
+from unips_jax.scenes.backdrop import open_sky, ray_clearance
 from unips_jax.scenes.config import SceneConfig
 from unips_jax.scenes.geometry import Geometry
 from unips_jax.scenes.grids import pick, spread
@@ -143,7 +143,7 @@ def light_means(geometry: Geometry, keys: KeyLights, environment: Environment) -
     """Mean direction of each image's light at the object's centre, `[N, 3]`.
 
     Weighted by power: a single light gives its unit direction, light that comes equally
-    from everywhere gives zero.
+    from everywhere gives zero. What a table or a wall hides does not count.
     """
     squared = jnp.sum(jnp.square(keys.vector), -1, keepdims=True)  # [N, 1]
     fading = jnp.where(keys.near[:, None] > 0, 1 / squared, 1.0)
@@ -151,6 +151,8 @@ def light_means(geometry: Geometry, keys: KeyLights, environment: Environment) -
     total = power * keys.vector * jax.lax.rsqrt(squared)
     around = _environment_table(geometry, environment).mean(axis=1)  # [N, D]
     around = around * environment.scale[:, None]
+    if geometry.backdrop is not None:
+        around = around * open_sky(geometry.backdrop, geometry.directions)
     around = around * (4 * math.pi / around.shape[1])
     total = total + around @ geometry.directions
     return total / (power + jnp.sum(around, -1, keepdims=True))

@@ -40,7 +40,7 @@ _FREE = {
     "model": {"remat"},
     "optim": {"fall_steps"},
     "data": {"root", "workers"},
-    "scenes": set(),
+    "scenes": {"mesh_file"},
     "train": {
         "steps",
         "log_every",

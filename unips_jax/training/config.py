@@ -267,3 +267,11 @@ class Config:
             "known_lights_rate: expected a network that knows lights "
             "(--model.known-lights), got another",
         )
+        require(
+            not (
+                getattr(self.model, "light_tokens", False)
+                and (data.augment or data.source == "folders")
+            ),
+            "light_tokens: expected scenes and no augment (--data.no-augment), which "
+            "know the kinds of light, got others",
+        )

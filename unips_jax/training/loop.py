@@ -40,7 +40,7 @@ from unips_jax.training.state import TrainState, init_state, new_state
 from unips_jax.training.step import Batch, train_step
 from unips_jax.training.tracking import Sink
 from unips_jax.training.validation import score_table, validate, validation_pictures
-from unips_jax.weights import load_weights, save_weights
+from unips_jax.weights import load_weights, save_weights, weights_hash
 
 # Fields of a network that do not change what its parameters mean.
 _SAME_PARAMETERS = {"remat", "dtype", "dropout_rate", "drop_path_rate"}
@@ -86,11 +86,15 @@ def train(
         Checkpoints(workdir, config) as checkpoints,
     ):
         if checkpoints.latest_step() is None:
+            _refuse_to_replace(workdir)
             state = _new_state(config, init_key, abstract, init_weights)
             record: dict[str, Any] = {"best_mae_deg": None}
+            begun = {"init": init_weights and weights_hash(load_weights(init_weights))}
         else:
             say(f"going on after step {checkpoints.latest_step()}")
             state, record = checkpoints.restore(abstract)
+            begun = {"init": record.pop("init")} if "init" in record else {}
+            _check_same_start(init_weights, begun)
         unlogged = record.pop("unlogged", [])
         first, steps = int(state.step), config.train.steps
         every = config.train.log_every
@@ -123,7 +127,8 @@ def train(
                         config, state, record, workdir, log
                     )
             if due.checkpoint:
-                checkpoints.save(step, state, {**record, "unlogged": log.pending()})
+                known = {**record, **begun, "unlogged": log.pending()}
+                checkpoints.save(step, state, known)
             if due.stop:
                 say(
                     f"starting again after step {step}: steps then take less time"
@@ -189,6 +194,33 @@ def _new_state(
 ) -> TrainState:
     state = new_state(config, key, _shardings(abstract))
     return state if init_weights is None else _start_from(state, init_weights, config)
+
+
+def _refuse_to_replace(workdir: Path) -> None:
+    """Keeps weights of an earlier run whose checkpoints are gone."""
+    for name in ("best.safetensors", "last.safetensors"):
+        if (workdir / name).exists():
+            raise InputError(
+                f"--workdir {workdir}: expected a run's checkpoints beside its {name}, "
+                "found none; choose another folder, or move it and metrics.jsonl away"
+            )
+
+
+def _check_same_start(init_weights: str | None, begun: dict[str, Any]) -> None:
+    """Refuses weights that the run in the folder did not begin with."""
+    if init_weights is None or not begun:
+        return
+    try:
+        given = weights_hash(load_weights(init_weights))
+    except InputError:  # they are not needed any more
+        return
+    if given != begun["init"]:
+        was = f"those of hash {begun['init']}" if begun["init"] else "drawn ones"
+        raise InputError(
+            f"--init-weights {init_weights}: expected what the run in this folder "
+            f"began with, {was}, got weights of hash {given}; leave it out to go on, "
+            "or choose another --workdir"
+        )
 
 
 def _start_from(state: TrainState, source: str, config: Config) -> TrainState:

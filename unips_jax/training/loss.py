@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from unips_jax.checks import require
 from unips_jax.models import ops
 from unips_jax.models.chunks import CHUNK_IMAGES, CHUNK_TOKENS, in_pieces
 from unips_jax.models.config import ModelConfig
@@ -96,6 +97,16 @@ class LossOptions:
     steepness_weight: float = 0.0
     differences_weight: float = 0.0
 
+    def __post_init__(self) -> None:
+        require(
+            not (self.pixel_blocks and self.grid_loss),
+            "pixel_blocks: expected no grid_loss with them, got both",
+        )
+        require(
+            self.pixel_blocks or not (self.steepness_weight or self.differences_weight),
+            "steepness_weight, differences_weight: expected pixel_blocks, got none",
+        )
+
 
 def squared_distance(predicted: Array, true: Array) -> Array:
     """Squared distance of unit normals: `[..., 3]` to `[...]`, in [0, 4]."""
@@ -137,7 +148,15 @@ def training_loss(
         The loss, and metrics: the mean angular error in degrees over the drawn pixels,
         and the mean distances of the guesses ("coarse", "lights", "harmonics", "lamps")
         where there are any.
+
+    Raises:
+        ValueError: if the network sees details and `grid_loss` is wanted: the grid has
+            none.
     """
+    require(
+        not (network.config.sees_details and options.grid_loss),
+        "grid_loss: expected False with a network that has fine_dim, got True",
+    )
     # On CPU the decoder's chunks are small: nothing to recompute.
     on_cpu = jax.default_backend() == "cpu"
     remat = network.config.remat

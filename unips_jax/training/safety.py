@@ -30,10 +30,11 @@ def check_input(config: Config, mesh: Mesh) -> None:
     """Checks that there is data, and that the devices can share it."""
     data = config.data
     if data.batch_size % mesh.size:
+        alone = jax.process_count() == 1
+        fewer = "fewer devices with --mesh.data" if alone else "fewer processes"
         raise InputError(
             f"--data.batch-size {data.batch_size}: expected a multiple of the "
-            f"{mesh.size} devices, which share a batch; change it, or take fewer "
-            "devices with --mesh.data"
+            f"{mesh.size} devices, which share a batch; change it, or take {fewer}"
         )
     share = data.batch_size // mesh.size
     if share % config.mesh.microbatches:

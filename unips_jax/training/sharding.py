@@ -26,6 +26,12 @@ def make_mesh(config: MeshConfig) -> Mesh:
             f"--mesh.data {config.data} --mesh.fsdp {config.fsdp}: expected no more "
             f"than the {devices} devices there are; lower one of them"
         )
+    if jax.process_count() > 1 and data * config.fsdp != devices:
+        raise InputError(
+            f"--mesh.data {config.data} --mesh.fsdp {config.fsdp}: expected all "
+            f"{devices} devices of the {jax.process_count()} processes, got "
+            f"{data * config.fsdp}; leave --mesh.data out, or start fewer processes"
+        )
     used = jax.devices()[: data * config.fsdp]
     return jax.make_mesh(
         (data, config.fsdp),

@@ -57,7 +57,7 @@ def mpm(
     Args:
         merge: "sync" reconciles the patches' frames, "angles" follows shortest paths.
         frame: "silhouette" falls back to "integrability" where the mask touches the
-            images' border.
+            images' border, or has no outline away from it.
         albedo: "profile" divides an estimate of piecewise constant albedo out.
         radius: half-width of a patch in pixels; None: 0.11 of the images' side.
     """
@@ -73,15 +73,20 @@ def mpm(
             grey = flatten_albedo(grey, lit)
         patches, dropped = _patches(grey, lit, radius)
         field = _fill(merge_patches(patches, lit.sum()), lit, mask)
-        if frame == "silhouette" and not _touches_border(mask):
-            field = frame_by_silhouette(field, mask, name="mpm")
-        else:
-            field = frame_by_integrability(field, mask)
+        silhouette = frame == "silhouette" and not _touches_border(mask)
+        field = (_by_outline if silhouette else frame_by_integrability)(field, mask)
         field = _make_convex(field, mask)
         normals = normal_map(field[mask], mask)
         return Estimated(normals, {"dropped patches (%)": 100 * dropped})
 
     return method
+
+
+def _by_outline(field: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    try:
+        return frame_by_silhouette(field, mask, name="mpm")
+    except Unsupported:  # no outline but next to the images' border
+        return frame_by_integrability(field, mask)
 
 
 def _patches(

@@ -28,7 +28,7 @@ _OBJECTS = "ball bear buddha cat cow goblet harvest pot1 pot2 reading".split()
 # Of each object's published mask.
 _PIXELS = (15791, 41512, 44864, 45200, 26421, 26193, 57342, 57721, 35278, 27654)
 _MASK_PIXELS = dict(zip(_OBJECTS, _PIXELS, strict=True))
-_CORRUPT = {"bear": 20}
+_IMAGES, _CORRUPT = 96, {"bear": 20}  # of an object as published; the first ones
 _MV_OBJECTS = ("bear", "buddha", "cow", "pot2", "reading")
 _MV_VIEWS = 20
 _SHAPES = "BALL GOLF SPIKE NUT SQUARE PENTAGON HEXAGON PROPELLER TURBINE BUNNY".split()
@@ -55,8 +55,8 @@ class Diligent(Benchmark):
             folder = files.require_folder(
                 root / f"{name}PNG", f"DiLiGenT's object {name}"
             )
-            drop = _CORRUPT.get(name, 0)
             photographs = _listed_images(folder)
+            drop = _corrupt(name, len(photographs))
             if len(photographs) <= drop:
                 raise InputError(
                     f"{folder / 'filenames.txt'}: lists {len(photographs)} images, of "
@@ -71,7 +71,8 @@ class Diligent(Benchmark):
             )
 
     def truth(self, entry: Entry) -> Truth:
-        truth = _read_truth(entry, skip=_CORRUPT.get(entry.name, 0))
+        listed = len(_listed_images(entry.images[0].parent))
+        truth = _read_truth(entry, skip=_corrupt(entry.name, listed))
         published = _MASK_PIXELS[entry.name]
         pixels = int(truth.mask.sum())
         if truth.mask.shape == (512, 612) and pixels != published:
@@ -206,6 +207,12 @@ def _listed_images(folder: Path, *, optional: bool = False) -> tuple[Path, ...]:
 def _companions(folder: Path, *, truth: bool) -> tuple[Path, ...]:
     names = ["mask.png", *_TABLES[1:], *(["Normal_gt.mat"] if truth else [])]
     return tuple(folder / name for name in names)
+
+
+def _corrupt(name: str, listed: int) -> int:
+    """How many of the listed images are corrupt, the first; 0 if they are left out."""
+    corrupt = _CORRUPT.get(name, 0)
+    return 0 if listed == _IMAGES - corrupt else corrupt
 
 
 def _read_truth(entry: Entry, *, skip: int = 0) -> Truth:
