@@ -1,6 +1,7 @@
 """Files for a purpose that the application makes, opened again by trimesh."""
 
 import io
+import json
 import zipfile
 from pathlib import Path
 
@@ -75,6 +76,16 @@ def test_a_model_for_blender(done):
     assert other.extents.max() == pytest.approx(0.25)
     assert np.ptp(green(model)) > 4
     np.testing.assert_array_equal(green(model) + green(other), 255)
+
+
+def test_photographs_that_were_moved_back_are_no_colours(done):
+    client, key, shown = done
+    record = json.loads((shown / "normals.json").read_text())
+    record["moved_back"] = {"1.png": [3, 0, 0]}
+    (shown / "normals.json").write_text(json.dumps(record))
+    facts, data = made(client, key, purpose="blender")
+    model = trimesh.load(data, file_type="glb", force="mesh")
+    assert model.visual.material.baseColorTexture is None and facts["faces"] > 100
 
 
 def test_a_solid_to_print(done):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from plain_objects import photographs
 
+from unips_jax.io.formats.raster import marked_srgb
 from unips_jax.io.images import write_image
 
 pytest.importorskip("selenium", reason="selenium is not installed")
@@ -188,6 +189,31 @@ def test_other_files_leave_the_mask(page, sets, tmp_path):
         drop(page, [tmp_path / name])
         until(page, f"return /expected photographs/.test({STATUS})")
         np.testing.assert_array_equal(mask_of(page, SIZE), painted)
+
+
+def test_maps_are_no_photographs_and_masks_have_names(page, sets, tmp_path):
+    mask = np.zeros(SIZE, np.uint8)
+    mask[20:70, 30:90] = 255
+    normals = np.full((*SIZE, 3), 128, np.uint8)
+    for name, image in (("cat.mask", mask), ("normal_gt", normals), ("objMask", mask)):
+        write_image(tmp_path / f"{name}.png", image)
+    drop_and_wait(page, [*sets["left"][0], *sorted(tmp_path.glob("*.png"))])
+    assert page.execute_script("return unips.state.photographs.length") == 3
+    np.testing.assert_array_equal(mask_of(page, SIZE), mask > 0)
+    said = page.execute_script(f"return {STATUS}")
+    assert "3 photographs" in said and "without normal_gt.png, objMask.png" in said
+
+
+def test_photographs_of_other_tags_are_refused(page, sets, tmp_path):
+    deep = [tmp_path / f"{i}.png" for i in range(2)]
+    for path in deep:
+        write_image(path, np.full((*SIZE, 3), 9000, np.uint16))
+    deep[1].write_bytes(marked_srgb(deep[1].read_bytes()))
+    drop(page, deep)
+    until(
+        page,
+        f"return /1.png: expected values that encode light as in 0.png/.test({STATUS})",
+    )
 
 
 FIND = """

@@ -139,6 +139,12 @@ def test_two_points_and_their_length_give_everything_a_unit(page):
     element(page, "millimetres").send_keys("no number", Keys.ENTER)
     drawn(page)
     assert element(page, "scale-bar").text == bar
+    # Up the slope it is the length through space that was entered.
+    press(page, "[data-tool=scale]")
+    drag(page, (0, 0), (0.7, 0))
+    element(page, "millimetres").clear()
+    element(page, "millimetres").send_keys("20", Keys.ENTER)
+    assert re.search(r"\b20 mm", element(page, "reading").text)
     press(page, "#drop-scale")
     drawn(page)
     assert "mm" not in overlay(page)

@@ -3,7 +3,7 @@ import { Editor } from "./editor.js";
 import { forget, keep, recall, stayAwake } from "./keep.js";
 import { isOnlyShine, meanPicture, resize } from "./mask.js";
 import {
-  brightestOfAll, filesOf, leaveOut, linearImages, maskOf, readFile, requireAlike, requireMaskFits,
+  brightestOfAll, filesOf, isMap, isMask, leaveOut, linearImages, maskOf, readFile, requireAlike, requireMaskFits,
 } from "./photographs.js";
 import { normalsPng, viewerPage } from "./surface.js";
 import { current, offer, Refusal, t } from "./text.js";
@@ -13,7 +13,7 @@ const MOST_KEPT = 4e8; // bytes of files
 const SEEN_SIDE = 640; // of the picture that the mask is looked for in
 const BOX_MARGIN = 0.1; // of the box, around it
 const $ = (id) => document.getElementById(id);
-const state = { photographs: [], files: [], brightest: null, mask: null, result: null };
+const state = { photographs: [], files: [], leftOut: [], brightest: null, mask: null, result: null };
 let worker;
 let asked = 0;
 const waiting = new Map(); // who waits for answers of the worker, by the question's number
@@ -41,16 +41,18 @@ async function take(list, mask = null, again = false) {
   const files = [...list].filter((file) => file.size && !file.name.startsWith("."))
     .filter((file) => /^image\//.test(file.type) || /\.hei[cf]$/i.test(file.name))
     .sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
-  const isMask = (file) => file.name.replace(/\.[^.]*$/, "").toLowerCase() === "mask";
-  const masks = files.filter(isMask);
-  const others = files.filter((file) => !isMask(file));
+  const masks = files.filter((file) => isMask(file.name));
+  const rest = files.filter((file) => !isMask(file.name));
+  const plain = rest.filter((file) => !isMap(file.name));
+  const others = plain.length ? plain : rest;
+  const leftOut = rest.filter((file) => !others.includes(file)).map((file) => file.name);
   try {
     const read = [];
     for (const file of others) {
       tell("reading", { name: file.name });
       read.push(await readFile(file));
     }
-    if (read.length) requireAlike(read);
+    if (read.length) requireAlike(read, again || $("transfer").value !== "auto");
     const photographs = read.length ? read : state.photographs;
     if (!photographs.length || !files.length) throw new Refusal("no_photographs");
     const maskFile = masks.length ? await readFile(masks[0]) : null;
@@ -60,8 +62,8 @@ async function take(list, mask = null, again = false) {
       shown = turn;
       stop();
       if (!again) forget(); // what is kept is of other photographs
-      Object.assign(state, { photographs, files, result: null });
-    } else state.files = [...state.files.filter((file) => !isMask(file)), ...masks];
+      Object.assign(state, { photographs, files, leftOut, result: null });
+    } else state.files = [...state.files.filter((file) => !isMask(file.name)), ...masks];
     await show(maskFile, mask);
     const bytes = state.files.reduce((sum, file) => sum + file.size, 0);
     if (turn >= shown && bytes <= MOST_KEPT) await keep("files", state.files);
@@ -85,7 +87,9 @@ async function show(maskFile, mask) {
   $("work").style.setProperty("--shape", width / height);
   refocus("work");
   editor.show(picture(), state.mask, width, height);
-  const count = () => t("count", { n: state.photographs.length, width, height });
+  const names = state.leftOut.join(", ");
+  const aside = () => (names ? t("left_out", { names }) : "");
+  const count = () => t("count", { n: state.photographs.length, width, height }) + aside();
   if (mask || maskFile) say(() => t("ready", { count: count() }));
   else {
     $("estimate").disabled = true; // until the object is found
@@ -257,10 +261,10 @@ async function estimate(known = null) {
     const names = state.photographs.map(({ name }) => name);
     state.result = { normals, mask, images, width, height, names, seconds };
     tell("stage_surface");
-    if (!(await showResult())) return;
     // Files are kept: of these the photographs' light is read again.
     const { images: _, ...result } = state.result;
     keep("result", { ...result, options }).then(() => forget("running"));
+    if (!(await showResult())) return;
     tell("done", { n: threads, threads, seconds: seconds.toFixed(1) });
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
@@ -273,7 +277,9 @@ async function estimate(known = null) {
 // Gives whether it is shown now: other photographs may be dropped meanwhile.
 async function showResult() {
   const { result } = state;
-  const template = await (await fetch("./viewer.html")).text();
+  const answer = await fetch("./viewer.html").catch((error) => ({ statusText: error.message }));
+  if (!answer.ok) throw new Refusal("viewer", { error: answer.statusText });
+  const template = await answer.text();
   const page = await viewerPage(template, result, t("surface"));
   if (result !== state.result) return false;
   state.page = page;

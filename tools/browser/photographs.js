@@ -95,7 +95,20 @@ async function decoded(file) {
   }
 }
 
-export function requireAlike(files) {
+// What files are by their names, as unips_jax/io/selection.py has it.
+const MAPS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?";
+const MAP = new RegExp(
+  `\\b(?:${MAPS}|albedo|gt)\\b|^shading\\b|^sheet$|^height$|^confidence$|^unreliable$|^plane [0-5]$`, "i",
+);
+const stem = (name) => name.replace(/\.[^.]*$/, "");
+export const isMask = (name) => /^(.*\.)?mask$/i.test(stem(name));
+export const isMap = (name) => {
+  const words = stem(name).replace(/([a-z0-9])([A-Z])/g, "$1 $2");
+  return MAP.test(words.replace(/[^\p{L}\p{N}]+|(?<=[a-zA-Z])(?=\d)/gu, " ").trim());
+};
+
+// `chosen`: somebody said how values encode light, so that files need not agree on it.
+export function requireAlike(files, chosen) {
   const [first] = files;
   for (const file of files) {
     if (file.width !== first.width || file.height !== first.height) {
@@ -105,6 +118,9 @@ export function requireAlike(files) {
       const bits = (top) => (top === 255 ? 8 : 16);
       const values = { name: file.name, first: first.name, bits: bits(first.top), got: bits(file.top) };
       throw new Refusal("bits", values);
+    }
+    if (!chosen && file.tag !== first.tag) {
+      throw new Refusal("tag", { name: file.name, first: first.name });
     }
   }
 }

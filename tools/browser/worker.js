@@ -182,6 +182,7 @@ onmessage = async ({ data }) => {
   try {
     await (data.kind === "mask" ? findMask(data, answer) : estimate(data, answer));
   } catch (error) {
+    started = undefined; // a file that could not be fetched is asked for again
     for (const part of Object.keys(sessions)) delete sessions[part];
     if (data.kind !== "mask") for (const { worker } of decoders.splice(0)) worker.terminate();
     answer({ error: String(error?.message ?? error) });

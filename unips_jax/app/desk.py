@@ -207,7 +207,11 @@ class Desk:
         item.name, item.options = name[:100] or "object", dataclasses.asdict(options)
         item.target = str(self.objects.target_for(item.name))
         item.state, item.error, item.asked = "waiting", "", time.time()
-        item.save()
+        try:
+            item.save()
+        except InputError:  # of a full disk
+            item.state = "draft"
+            raise
         self.queue.append(item)
         self.start()
 

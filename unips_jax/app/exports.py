@@ -105,13 +105,18 @@ def _colors(
     record: dict[str, Any],
     shape: tuple[int, ...],
     max_pixels: int,
-) -> np.ndarray:
-    """The results' base colour, else the photographs' mean: `[H, W, 3]`, uint8."""
+) -> np.ndarray | None:
+    """The results' base colour, else the photographs' mean: `[H, W, 3]`, uint8.
+
+    None of photographs that were moved back: as files they lie beside each other.
+    """
     from unips_jax.surface.outputs import photograph_colors
 
     base_color = results / "base_color.png"
     if base_color.is_file():
         colors = photograph_colors(read_image_file(base_color).pixels, "srgb")
+    elif record.get("moved_back"):
+        return None
     else:
         mean = np.zeros(shape, np.float32)
         for photograph in chosen.photographs:

@@ -247,9 +247,11 @@ def opened(results: Path, *, days: float) -> Iterator[Objects]:
 def clean(name: str, *, longest: int = 100) -> str:
     """A name of letters, digits and `-_.` that any file system takes."""
     name = composed(name.replace("\\", "/").rsplit("/", 1)[-1])
-    text = re.sub(r"[^\w.-]+", "_", name).strip("_").rstrip(".")
+    text = re.sub(r"[^\w.-]+", "_", name).rstrip("._")
     stem, dot, suffix = text.rpartition(".")
-    text = f"{stem.strip('._') or 'photograph'}.{suffix}" if dot else text.strip("._")
+    # Of symbols alone nothing would be left; a dot alone before the suffix is no name.
+    stem = stem and (stem.strip("._") or "photograph")
+    text = f"{stem}{dot}{suffix}" if stem else suffix.strip("._")
     if _DEVICE.fullmatch(text.partition(".")[0]):
         text = f"{text[:3]}_{text[3:]}"
     stem, dot, suffix = text.rpartition(".")

@@ -22,7 +22,7 @@ from unips_jax.app.objects import Object, clean
 
 _VIEW = {  # a result's page: its own scripts, and nothing of ours
     "x-frame-options": "SAMEORIGIN",
-    "content-security-policy": "sandbox allow-scripts allow-downloads; "
+    "content-security-policy": "sandbox allow-scripts allow-downloads allow-modals; "
     "default-src 'none'; img-src data: blob:; script-src 'unsafe-inline'; "
     "style-src 'unsafe-inline'; frame-ancestors 'self'",
 }

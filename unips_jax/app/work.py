@@ -7,6 +7,7 @@ its progress to `report`, and what can't be done is an `InputError`.
 import dataclasses
 import functools
 import itertools
+import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -141,7 +142,7 @@ def gather(
     from unips_jax.io.record import HashingReader
 
     report("reading", 0.0)
-    refused: dict[str, str] = {}
+    given, refused, odd = chosen, dict[str, str](), dict[str, str]()
     while True:
         how = chosen.options("auto", max_pixels, **options)
         selection = chosen_photographs(chosen.folder, how)
@@ -156,6 +157,12 @@ def gather(
                 raise
             refused[name] = text
             chosen = _without(chosen, name)
+            first = selection.names[0]
+            if _most_differ(first, refused, given):
+                odd[first] = f"most others are not like it: {text}"
+                chosen = given = _without(given, first)
+                refused = {}
+    refused |= odd
     capture, mask_from = looked.capture, "file"
     if selection.mask_file is None:
         mask_from = "suggested" if looked.facts["mask_suggested"] else "none"
@@ -191,6 +198,14 @@ def _culprit(chosen: Chosen, text: str) -> tuple[str | None, str]:
         if text.startswith(start):
             return name, text.removeprefix(start)
     return None, text
+
+
+def _most_differ(first: str, refused: dict[str, str], given: Chosen) -> bool:
+    """Whether most photographs are refused for being unlike the first."""
+    # Errors end in "... as NAME", or "... as in NAME", of what they compare with.
+    like = re.compile(rf" as (?:in )?{re.escape(first)}[ ,]")
+    unlike = [n for n, text in refused.items() if n != given.mask and like.search(text)]
+    return 2 * len(unlike) > len(given.photographs)
 
 
 def _without(chosen: Chosen, name: str) -> Chosen:

@@ -63,11 +63,11 @@ class Worker:
         self, function: Callable[..., Any], arguments: tuple[Any, ...], report: Report
     ) -> Any:
         loop = asyncio.get_running_loop()
-        if self._process is None or not self._process.is_alive():
-            await loop.run_in_executor(self._thread, self._start)
-        pipe = self._pipe
-        assert pipe is not None
         try:
+            if self._process is None or not self._process.is_alive():
+                await loop.run_in_executor(self._thread, self._start)
+            pipe = self._pipe
+            assert pipe is not None
             pipe.send((function, arguments))
             while True:
                 kind, *values = await loop.run_in_executor(self._thread, pipe.recv)

@@ -22,8 +22,9 @@ class Observed(NamedTuple):
     images: np.ndarray  # `[N, H, W, 3]`, linear RGB of any scale, float32
     mask: np.ndarray  # `[H, W]`, bool, True on the object
     lights: Lights | None = None  # None where unknown
-    # focal length in pixels of these images, principal point at their centre; infinite
-    # for an orthographic camera, None where unknown
+    # focal length in pixels of these images, principal point at their centre (of those
+    # that were cropped, beside it); infinite for an orthographic camera, None where
+    # unknown
     focal: float | None = None
 
 

@@ -33,7 +33,7 @@ export function upload(id, file, progress) {
     sent.open("PUT", `/api/objects/${id}/files?name=${encodeURIComponent(file.name)}`);
     sent.responseType = "json";
     sent.upload.addEventListener("progress", (event) => progress(event.loaded));
-    sent.addEventListener("load", () => (sent.status === 200 ? done(sent.response) : failed(new Problem(words(sent.response)))));
+    sent.addEventListener("load", () => (sent.status === 200 ? done(sent.response) : failed(new Problem(words(sent.response), sent.status === 408))));
     sent.addEventListener("error", () => failed(new Problem(t("problem_lost"), true)));
     sent.send(file);
   });

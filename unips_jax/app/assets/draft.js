@@ -211,8 +211,10 @@ export function advice(list, findings) {
 
 async function estimate() {
   byId("estimate").disabled = true;
+  const { id } = shown;
   try {
     await mask.settled();
+    if (shown?.id !== id) return; // another object was opened meanwhile
     await request("POST", path("/estimate"), { name: byId("name").value, options: chosen() });
     window.scrollTo({ top: 0 });
   } catch (problem) {

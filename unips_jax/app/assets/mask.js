@@ -20,6 +20,8 @@ let inside = 0; // pixels
 let changes = 0; // that the server doesn't have yet
 let flushed = 0; // of these, sent by a page that was about to go
 let saving = null; // the save that runs
+let edits = 0; // since the page was opened
+let finding = Promise.resolve(); // the answers that are waited for
 let turn = 0; // changes with each object: answers for an earlier one come too late
 let listeners = { changed: () => {} };
 
@@ -146,6 +148,7 @@ function fill(all) {
 
 /** After a change: shows it, and sends it to the server at once. */
 function edited() {
+  edits += 1;
   changes += 1;
   flushed = 0;
   draw();
@@ -178,6 +181,7 @@ async function send() {
     try {
       await request("PUT", `${base}/mask?kind=${how}`, blob);
     } catch (problem) {
+      if (base !== address) return 0;
       if (problem.status === 404 || problem.status === 409) return (changes = 0);
       tell(t("mask_not_saved"));
       await new Promise((done) => setTimeout(done, 1000));
@@ -252,13 +256,26 @@ function paint(from, to) {
   c.globalCompositeOperation = "source-over";
 }
 
-/** What the server finds in the picture becomes the mask. */
-async function find(what, body, words) {
+/** What the server finds in the picture becomes the mask, one answer after the other. */
+function find(what, body, words) {
+  finding = finding.catch(() => {}).then(() => ask(what, body, words));
+  return finding;
+}
+
+async function ask(what, body, words) {
   const base = address;
+  if (!base) return;
+  if (what === "piece") {
+    changes += 1;
+    await settled(); // the server must have the mask for that
+  }
+  if (base !== address) return;
+  const before = edits;
   tell(t("looking"));
   try {
     await request("POST", `${base}/${what}`, body);
     if (base !== address) return;
+    if (edits !== before || stroke) return tell(t("mask_edited")); // drawn meanwhile: it stays
     remember();
     if (!(await take(`/api${base}/pictures/cut.png?${Date.now()}`))) return;
   } catch (problem) {
@@ -283,10 +300,8 @@ async function endBox() {
   await cutting;
 }
 
-/** Takes or drops the piece at a place; the server must have the mask for that. */
+/** Takes or drops the piece at a place. */
 async function piece(at) {
-  changes += 1;
-  await settled();
   await find("piece", { point: at.map((value) => (value * picture.width) / canvas.width) }, "");
 }
 

@@ -125,7 +125,9 @@ class Measure {
 
   scale() {
     const pixels = Math.hypot(...this.points[0].map((value, axis) => value - this.points[1][axis]));
-    return say("scale_length", scale.across(pixels));
+    // Once it is known, the length that was measured: through space, on the surface.
+    const length = scale.mm === null ? scale.across(pixels) : scale.text(this.distance);
+    return say("scale_length", length);
   }
 
   profile() {
