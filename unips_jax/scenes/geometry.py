@@ -203,9 +203,9 @@ def _carve(key: Array, rate: float, shape: Shape, finest: Array) -> tuple[Shape,
     key_rest, key_draws, key_seed = jax.random.split(key, 3)
     rest = Draws(key_rest, 2)
     carved = rest.chance(rate)
-    new = draw_detail(
-        Draws(key_draws, 32), key_seed, shape.kind, (6.0, 30.0), (0.2, 0.7)
-    )
+    ranges = (6.0, 30.0), (0.2, 0.7)
+    draws = Draws(key_draws, 32)
+    new = draw_detail(draws, key_seed, shape.kind, *ranges, always=True)
     coarser = jnp.maximum(new.frequency / finest, 1.0)
     amplitudes = ("noise", "groove", "ridge", "dimple", "weave")
     new = new._replace(

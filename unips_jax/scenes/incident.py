@@ -14,7 +14,11 @@ from jax import Array
 from unips_jax.lighting.harmonics import BAND, harmonics
 from unips_jax.scenes.backdrop import Backdrop, open_sky
 from unips_jax.scenes.lamps import KeyLights
-from unips_jax.scenes.surroundings import Environment, surroundings
+from unips_jax.scenes.surroundings import (
+    Environment,
+    sphere_points,
+    surroundings,
+)
 
 _COUNT, _BLUR = 512, 0.1  # directions over the sphere; radians, below their distance
 
@@ -43,16 +47,6 @@ class IncidentLight(NamedTuple):
     lamp_known: Array | np.ndarray  # `[N]` bool, for all three of the lamp
 
 
-def _sphere_points() -> np.ndarray:
-    """Spherical Fibonacci points, `[_COUNT, 3]`."""
-    index = np.arange(_COUNT)
-    z = 1 - (2 * index + 1) / _COUNT
-    angle = math.pi * (3 - math.sqrt(5)) * index
-    ring = np.sqrt(1 - z * z)
-    points = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], -1)
-    return points.astype(np.float32)
-
-
 def incident_light(
     keys: KeyLights, environment: Environment, gain: Array, backdrop: Backdrop | None
 ) -> IncidentLight:
@@ -61,7 +55,7 @@ def incident_light(
     away = jnp.where(keys.near[:, None] > 0, squared, 1.0)
     lamp = keys.color / away  # irradiance [N, 3]
     direction = keys.vector / jnp.sqrt(squared)
-    points = _sphere_points()
+    points = sphere_points(_COUNT)
     radiance = surroundings(environment, jnp.asarray(points), _BLUR)  # [N, 3, D]
     around = radiance * environment.scale[:, None, None] * (4 * math.pi / _COUNT)
     if backdrop is not None:

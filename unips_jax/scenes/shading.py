@@ -29,11 +29,13 @@ from unips_jax.scenes.noise import Point, dot, normalize
 from unips_jax.scenes.surroundings import (
     Environment,
     environment_radiance,
+    sphere_points,
     surroundings,
 )
 from unips_jax.scenes.tracing import clearance, soft_visibility
 
 KEY_STRIDE = 2
+_OPEN = 256  # directions of unhidden light
 
 
 def split(vectors: Array) -> Point:
@@ -119,7 +121,11 @@ def shade_environment(
     seen = weight * visibility
     table = _environment_table(geometry, environment)
     open_share = jnp.sum(seen, 0)
-    irradiance = jnp.einsum("dp,ncd->ncp", seen, table)
+    # Few directions, which rays are traced in, tell how much of the light is hidden; as
+    # light itself they would be as many lamps.
+    unhidden = jnp.einsum("dp,ncd->ncp", weight, table)
+    share = jnp.einsum("dp,ncd->ncp", seen, table) / jnp.maximum(unhidden, 1e-6)
+    irradiance = _open_irradiance(normal, environment) * share
     # The glossy lobe: environment around the mirror direction, where it is seen.
     n_dot_v = dot(normal, view)
     mirror = tuple(2 * n_dot_v * n - v for n, v in zip(normal, view, strict=True))
@@ -139,6 +145,21 @@ def shade_environment(
     return total * environment.scale[:, None, None], hidden
 
 
+def _open_irradiance(normal: Point, environment: Environment) -> Array:
+    """Irradiance / pi where nothing is in the way, `[N, 3, P]`."""
+    points = jnp.asarray(sphere_points(_OPEN))
+    table = _open_table(environment, points)
+    found = _gathered(table.reshape(-1, _OPEN), points, jnp.stack(normal))
+    return found.reshape(*table.shape[:2], -1)
+
+
+@jax.custom_batching.sequential_vmap
+def _gathered(table: Array, points: Array, normal: Array) -> Array:
+    """The light `[K, D]` from points that normals `[3, P]` get, `[K, P]`."""
+    # One scene after the other: CPUs have no fast product for several at once.
+    return table @ jnp.maximum(points @ normal, 0.0) * (4 / _OPEN)
+
+
 def light_means(geometry: Geometry, keys: KeyLights, environment: Environment) -> Array:
     """Mean direction of each image's light at the object's centre, `[N, 3]`.
 
@@ -149,13 +170,19 @@ def light_means(geometry: Geometry, keys: KeyLights, environment: Environment) -
     fading = jnp.where(keys.near[:, None] > 0, 1 / squared, 1.0)
     power = jnp.mean(keys.color, -1, keepdims=True) * fading
     total = power * keys.vector * jax.lax.rsqrt(squared)
-    around = _environment_table(geometry, environment).mean(axis=1)  # [N, D]
+    points = jnp.asarray(sphere_points(_OPEN))
+    around = _open_table(environment, points).mean(axis=1)  # [N, D]
     around = around * environment.scale[:, None]
     if geometry.backdrop is not None:
-        around = around * open_sky(geometry.backdrop, geometry.directions)
-    around = around * (4 * math.pi / around.shape[1])
-    total = total + around @ geometry.directions
+        around = around * open_sky(geometry.backdrop, points)
+    around = around * (4 * math.pi / _OPEN)
+    total = total + around @ points
     return total / (power + jnp.sum(around, -1, keepdims=True))
+
+
+def _open_table(environment: Environment, points: Array) -> Array:
+    """Radiance from `_OPEN` points of the sphere before scaling, `[N, 3, D]`."""
+    return surroundings(environment, points, math.sqrt(2 / _OPEN))
 
 
 def _environment_table(geometry: Geometry, environment: Environment) -> Array:

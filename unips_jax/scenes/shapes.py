@@ -40,14 +40,19 @@ def draw_detail(
     kind: Array,
     frequencies: tuple[float, float] = (4.0, 14.0),
     slopes: tuple[float, float] = (0.04, 0.5),
+    *,
+    always: bool = False,
 ) -> Detail:
-    """Draws a fine relief from at least 14 numbers; `key` is for the noise."""
+    """Draws a fine relief from at least 14 numbers; `key` is for the noise.
+
+    Some have none, unless there is to be one `always`.
+    """
     frequency = draws.log_uniform(*frequencies)
     slope = draws.log_uniform(*slopes)
     pattern = draws.choice([0.45, 0.12, 0.12, 0.12, 0.12])
     wavy = draws.chance(0.6)
     flat = draws.chance(jnp.where(is_flat(kind), 0.1, 0.3))
-    slope = jnp.where(flat, 0.0, slope)
+    slope = slope if always else jnp.where(flat, 0.0, slope)
     amplitude = slope / frequency
     share = (pattern == jnp.arange(5)) * amplitude
     return Detail(

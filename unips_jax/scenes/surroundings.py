@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from unips_jax.scenes.draws import Draws, rotation_about
@@ -82,6 +83,7 @@ def environment_radiance(
     wave = sine(f * d[0] + 0.3 * sine(1.7 * f * d[1])) * sine(f * d[2] + 1.3 * f * d[1])
     wave = wave + 0.5 * sine(2.3 * f * d[0] - 1.9 * f * d[2] + 0.2)
     gain = 1 + environment.clutter * wave / (1 + (6 * f * blur) ** 2)
+    gain = jnp.maximum(gain, 0.0)
     return colors[0] * gain, colors[1] * gain, colors[2] * gain
 
 
@@ -92,6 +94,16 @@ def surroundings(environment: Environment, directions: Array, blur: float) -> Ar
     return jax.vmap(
         lambda r: jnp.stack(environment_radiance(environment, r, (x, y, z), width))
     )(environment.rotation)
+
+
+def sphere_points(count: int) -> np.ndarray:
+    """Spherical Fibonacci points, `[count, 3]`."""
+    index = np.arange(count)
+    z = 1 - (2 * index + 1) / count
+    angle = math.pi * (3 - math.sqrt(5)) * index
+    ring = np.sqrt(1 - z * z)
+    points = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], -1)
+    return points.astype(np.float32)
 
 
 def warmth(draws: Draws, amount: float, *shape: int) -> Array:
@@ -136,7 +148,8 @@ def draw_environment(
     angles = turn * draws.uniform(-math.pi, math.pi, num_images)
     yaw = rotation_about(1, angles)
     tilt = rotation_about(0, draws.uniform(-0.6, 0.6))
-    rotation = jnp.where(draws.chance(0.25), free, yaw @ tilt)
+    # Where light is to come from one side, it turns about the vertical only.
+    rotation = jnp.where(draws.chance(0.25) & (turn >= 1), free, yaw @ tilt)
     return Environment(
         rotation=rotation,
         zenith=zenith,
