@@ -9,7 +9,7 @@ What: `tiny` from its weights, with a consensus twice as wide, tokens for kinds 
 and known lights, on scenes of which a third are meshes by others and a third lie in
 photographed environments, with light that bounces from what is near, paint, carvings,
 spotted metal, and borders that mix with a background in 30 % (masks are learnt). Of
-three sets in ten the network is given the lights, roughly or exactly. Images have
+three in ten sets with a lamp the network is given it, roughly or exactly. Images have
 192 x 192 pixels: objects in photographs are larger than the 128 x 128 of `tiny`. A fork
 that falls shows what a checkpoint is worth: copy the folder, and go on in it with
 `--train.steps N --optim.fall-steps 400`.
