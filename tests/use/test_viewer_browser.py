@@ -25,6 +25,7 @@ from viewer_page import (
     value,
 )
 
+from unips_jax.viewer.page import page as page_of
 from unips_jax.viewer.page import write_view
 
 pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent")
@@ -267,3 +268,42 @@ def test_without_webgl_the_normals_are_shown(address):
         controls = driver.find_elements(By.CSS_SELECTOR, "button, select, input")
         assert not any(control.is_displayed() for control in controls)
         assert driver.find_element(By.TAG_NAME, "summary").text.startswith("Über")
+
+
+@pytest.mark.parametrize(("kept", "stays"), [(120, True), (90, False), (None, True)])
+def test_a_kept_scale_is_that_of_its_camera(driver, tmp_path, kept, stays):
+    """One without a focal length is of an earlier version's page."""
+    depth = known_results.hemisphere()[1] + 400
+    seen = {"depth": depth, "unit": "mean distances", "focal": 120.0}
+    scale = {"mm": 2.0, "unit": "mean distances"}
+    notes = {"scale": scale if kept is None else {**scale, "focal": kept}}
+    path = tmp_path / "a.html"
+    path.write_text(page_of(known_results.result(**seen), notes=notes))
+    driver.get(path.as_uri())
+    opened(driver)
+    drawn(driver)
+    assert bool(driver.find_elements(By.ID, "scale-bar")) == stays
+    assert messages(driver) == []
+
+
+def test_both_sides_are_lit(driver, tmp_path):
+    """A bowl: turned by 35 degrees, its near wall is seen from behind."""
+    normals, depth = known_results.hemisphere()
+    bowl = known_results.result(normals=normals * [-1, -1, 1], depth=-depth)
+    write_view(tmp_path / "bowl.html", bowl)
+    driver.get((tmp_path / "bowl.html").as_uri())
+    opened(driver)
+    press(driver, "[data-mode=surface]")
+    press(driver, "#turning")
+    press(driver, "#whole")
+    press(driver, "#colored")
+    slide(driver, "gloss", 0)
+    element(driver, "stage").send_keys(*[Keys.ARROW_DOWN] * 20)
+    slide(driver, "azimuth", -90)
+    slide(driver, "elevation", 60)
+    picture = drawn(driver)[9:-9, 9:-9, 1]
+    column = picture[:, picture.shape[1] // 2]
+    last = np.flatnonzero(np.abs(column - 18) > 8)[-1]
+    rim, inner = column[last - 4 : last - 1], column[last - 40 : last - 30]
+    assert rim.min() > 90 and inner.max() < 60  # lit from below, as its back is
+    assert messages(driver) == []

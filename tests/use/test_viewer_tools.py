@@ -27,7 +27,6 @@ from viewer_page import (
 )
 
 from unips_jax.viewer.page import notes_in, write_tiled_view, write_view
-from unips_jax.viewer.page import page as page_of
 
 pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent")
 
@@ -175,22 +174,6 @@ def test_detail_makes_small_relief_stronger(driver, folder):
     assert half / plain == pytest.approx(3, rel=0.15)
     slide(driver, "detail", 0)
     assert contrast() == pytest.approx(plain, rel=1e-3)
-    assert messages(driver) == []
-
-
-@pytest.mark.parametrize(("kept", "stays"), [(120, True), (90, False), (None, True)])
-def test_a_kept_scale_is_that_of_its_camera(driver, tmp_path, kept, stays):
-    """One without a focal length is of an earlier version's page."""
-    depth = known_results.hemisphere()[1] + 400
-    seen = {"depth": depth, "unit": "mean distances", "focal": 120.0}
-    scale = {"mm": 2.0, "unit": "mean distances"}
-    notes = {"scale": scale if kept is None else {**scale, "focal": kept}}
-    path = tmp_path / "a.html"
-    path.write_text(page_of(known_results.result(**seen), notes=notes))
-    driver.get(path.as_uri())
-    opened(driver)
-    drawn(driver)
-    assert bool(driver.find_elements(By.ID, "scale-bar")) == stays
     assert messages(driver) == []
 
 
@@ -391,26 +374,3 @@ def test_the_wheel_scrolls_the_page_around_until_a_click(driver, folder, page):
     assert (np.abs(drawn(driver) - 18) < 3).all(-1).sum() < ground
     assert not element(driver, "hint").is_displayed()
     driver.switch_to.default_content()
-
-
-def test_both_sides_are_lit(driver, folder):
-    """A bowl: turned by 35 degrees, its near wall is seen from behind."""
-    normals, depth = known_results.hemisphere()
-    bowl = known_results.result(normals=normals * [-1, -1, 1], depth=-depth)
-    write_view(folder / "bowl.html", bowl)
-    driver.get((folder / "bowl.html").as_uri())
-    opened(driver)
-    press(driver, "[data-mode=surface]")
-    press(driver, "#turning")
-    press(driver, "#whole")
-    press(driver, "#colored")
-    slide(driver, "gloss", 0)
-    element(driver, "stage").send_keys(*[Keys.ARROW_DOWN] * 20)
-    slide(driver, "azimuth", -90)
-    slide(driver, "elevation", 60)
-    picture = drawn(driver)[9:-9, 9:-9, 1]
-    column = picture[:, picture.shape[1] // 2]
-    last = np.flatnonzero(np.abs(column - 18) > 8)[-1]
-    rim, inner = column[last - 4 : last - 1], column[last - 40 : last - 30]
-    assert rim.min() > 90 and inner.max() < 60  # lit from below, as its back is
-    assert messages(driver) == []

@@ -122,7 +122,7 @@ def printable(
 
 
 def _step(depth: np.ndarray, faces: int) -> int:
-    """Every which pixel gives a grid of at most so many triangles."""
+    """The stride of a grid of pixels that has about this many triangles at most."""
     return max(1, int(np.ceil(np.sqrt(2 * np.isfinite(depth).sum() / faces))))
 
 
