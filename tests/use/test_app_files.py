@@ -86,6 +86,27 @@ def test_a_second_mask_is_set_aside_and_can_be_chosen(opening):
     assert 900 < (mask > 127).sum() <= 32 * 30  # less what is black everywhere
 
 
+def test_maps_are_set_aside_unless_the_visitor_takes_them(opening):
+    client = opening()
+    key = client.post("/objects")["id"]
+    names = ("normal_gt.png", "L_1.png", "baseColor.png", "L_2.png")
+    for name, data in zip(names, photographs(4).values(), strict=True):
+        client.put(key, name, data)
+    shown = client.ready(key)
+    assert of_state(shown, "aside") == {"normal_gt.png": "map", "baseColor.png": "map"}
+    assert shown["found"]["names"] == ["L_1.png", "L_2.png"]
+    client.post(f"/objects/{key}/use", file="normal_gt.png", use=True)
+    shown = client.ready(key)
+    assert shown["found"]["names"] == ["L_1.png", "L_2.png", "normal_gt.png"]
+    # A series with such a word in its names is one of photographs if there is no other.
+    key = client.post("/objects")["id"]
+    for number, data in enumerate(photographs(3).values()):
+        client.put(key, f"metal_bowl_{number}.png", data)
+    assert len(client.ready(key)["found"]["names"]) == 3
+    client.put(key, "mine.png", photographs(1)["0.png"])
+    assert client.ready(key)["found"]["names"] == ["mine.png"]
+
+
 def test_equal_names_all_stay(opening):
     client = opening()
     key = client.post("/objects")["id"]

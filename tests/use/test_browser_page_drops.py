@@ -1,6 +1,7 @@
 """Files dropped on the browser's page over others; what is asked of it meanwhile."""
 
 import base64
+import contextlib
 import mimetypes
 import time
 
@@ -25,6 +26,7 @@ from browser_page import (  # noqa: E402
     overlap,
     until,
 )
+from selenium.webdriver.support.ui import Select  # noqa: E402
 
 pytestmark = NEEDED
 SIZE = 120, 240
@@ -214,6 +216,26 @@ def test_photographs_of_other_tags_are_refused(page, sets, tmp_path):
         page,
         f"return /1.png: expected values that encode light as in 0.png/.test({STATUS})",
     )
+    # What the message advises is there, and is done.
+    page.find_element("css selector", "#choices summary").click()
+    Select(page.find_element("id", "transfer")).select_by_value("srgb")
+    drop_and_wait(page, deep)
+    assert page.execute_script("return unips.state.photographs.length") == 2
+
+
+def test_two_masks_or_maps_alone_replace_nothing(page, sets, tmp_path):
+    drop_and_wait(page, sets["left"][0])
+    drag(page, "paint", (200, 10), (230, 10))
+    painted = mask_of(page, SIZE)
+    masks = [tmp_path / f"{name}.mask.png" for name in ("cat", "dog")]
+    normals = tmp_path / "normal_gt.png"
+    for path in (*masks, normals):
+        write_image(path, np.full(SIZE, 255, np.uint8))
+    for paths, said in ((masks, "expected one mask"), ([normals], "a map by its name")):
+        drop(page, paths)
+        until(page, f"return /{said}/.test({STATUS})")
+        np.testing.assert_array_equal(mask_of(page, SIZE), painted)
+        assert page.execute_script("return unips.state.photographs.length") == 3
 
 
 FIND = """
@@ -250,6 +272,42 @@ def test_an_object_looked_for_meanwhile_leaves_the_run(page, small, sets, found)
         "return [sum(normals.map((n) => n * n)), sum(mask)]"
     )
     assert squares == pytest.approx(pixels, rel=1e-3) and pixels > 0
+
+
+@contextlib.contextmanager
+def away(page, *files):
+    for file in files:
+        file.rename(file.with_suffix(".away"))
+    yield
+    for file in files:
+        file.with_suffix(".away").rename(file)
+    messages(page)  # the browser says what it did not find
+
+
+def test_normals_are_saved_where_the_viewer_cannot_be_loaded(page, small, sets):
+    drop_and_wait(page, sets["left"][0])
+    with away(page, small / "viewer.html"):
+        compute(page, whole=False)
+        for _ in range(2):  # and after a reload
+            until(page, f"return /normals can be saved/.test({STATUS})")
+            assert page.find_element("id", "download").is_displayed()
+            assert not page.find_element("id", "save").is_displayed()
+            page.refresh()
+    page.refresh()
+    until(page, f"return /as it was left/.test({STATUS})")
+    assert page.find_element("id", "save").is_displayed()
+
+
+def test_a_runtime_that_was_not_loaded_is_asked_for_again(page, small, sets):
+    runtime = [*(small / "vendor" / "onnxruntime-web").glob("*.wasm")]
+    assert runtime
+    with away(page, *runtime):
+        drop(page, sets["left"][0])
+        until(page, f"return /the object was not looked for/.test({STATUS})")
+        compute(page)
+        until(page, f"return /^the network could not be run/.test({STATUS})")
+    compute(page)
+    until(page, f"return /^done/.test({STATUS})")
 
 
 def test_of_two_boxes_the_second_gives_the_mask(page, sets):

@@ -98,6 +98,23 @@ def test_a_print_has_as_many_triangles_as_asked_for():
     np.testing.assert_allclose(small.extents, large.extents, rtol=0.1)
 
 
+def test_a_coarser_print_is_one_solid_where_a_bridge_is_lost():
+    depth = np.full((65, 160), np.nan, np.float32)
+    for column, radius in ((32, 30), (120, 24)):
+        place = np.mgrid[:65, :160] - np.array([32, column])[:, None, None]
+        depth[np.hypot(*place) < radius] = 3.0
+    depth[33:36, 60:100] = 3.0  # between every fourth row
+    assert _bodies(depth, None) == 1
+    assert _bodies(depth, 900) == 1
+
+
+def _bodies(depth, max_faces):
+    data, _ = printable(depth, max_faces=max_faces)
+    solid = trimesh.load(io.BytesIO(data), file_type="stl")
+    assert solid.is_watertight
+    return solid.body_count
+
+
 def test_the_command_writes_all_three(tmp_path):
     folder = tmp_path / "cat"
     folder.mkdir()

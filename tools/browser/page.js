@@ -1,4 +1,5 @@
 // The page: files in, a mask, a lit surface out. All of it stays in this browser.
+import { ask, end } from "./ask.js";
 import { Editor } from "./editor.js";
 import { forget, keep, recall, stayAwake } from "./keep.js";
 import { isOnlyShine, meanPicture, resize } from "./mask.js";
@@ -14,9 +15,6 @@ const SEEN_SIDE = 640; // of the picture that the mask is looked for in
 const BOX_MARGIN = 0.1; // of the box, around it
 const $ = (id) => document.getElementById(id);
 const state = { photographs: [], files: [], leftOut: [], brightest: null, mask: null, result: null };
-let worker;
-let asked = 0;
-const waiting = new Map(); // who waits for answers of the worker, by the question's number
 let dropped = 0;
 let shown = 0; // which drop's photographs are shown
 
@@ -29,6 +27,7 @@ const say = (text, bad = false) => {
 };
 const tell = (key, values) => say(() => t(key, values));
 const refuse = ({ key, values }) => say(() => t(key, values), true);
+const stage = (name) => tell(`stage_${name}`);
 const editor = new Editor($("photograph"), (...box) => findObject(box), () => {
   $("undo").disabled = !editor.past.length;
   keep("mask", state.mask);
@@ -47,6 +46,10 @@ async function take(list, mask = null, again = false) {
   const others = plain.length ? plain : rest;
   const leftOut = rest.filter((file) => !others.includes(file)).map((file) => file.name);
   try {
+    if (masks.length > 1) throw new Refusal("masks", { name: masks[0].name, other: masks[1].name });
+    if (rest.length && !plain.length && state.photographs.length) {
+      throw new Refusal("map", { name: rest[0].name });
+    }
     const read = [];
     for (const file of others) {
       tell("reading", { name: file.name });
@@ -71,6 +74,7 @@ async function take(list, mask = null, again = false) {
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
     refuse(error);
+    if (error.key === "refused_tag") $("choices").hidden = false; // what it advises
     return false;
   }
 }
@@ -81,9 +85,8 @@ async function show(maskFile, mask) {
   state.mask = mask ?? (maskFile ? maskOf(maskFile) : new Uint8Array(width * height).fill(1));
   if (maskFile) keep("mask", state.mask);
   translate();
-  for (const id of ["drop", "result"]) $(id).hidden = true;
-  $("normals").hidden = true;
-  $("work").hidden = false;
+  for (const id of ["drop", "result", "normals"]) $(id).hidden = true;
+  for (const id of ["choices", "work"]) $(id).hidden = false;
   $("work").style.setProperty("--shape", width / height);
   refocus("work");
   editor.show(picture(), state.mask, width, height);
@@ -117,31 +120,8 @@ const transferOf = () => {
   return chosen === "auto" ? state.photographs[0].tag : chosen;
 };
 
-// One answer of the worker to what is asked; progress is reported meanwhile.
-function ask(message, field, onOther = () => {}) {
-  if (!worker) {
-    worker = new Worker("./worker.js", { type: "module" });
-    worker.onmessage = ({ data }) => waiting.get(data.id)?.(data);
-    worker.onerror = (event) =>
-      waiting.forEach((answer) => answer({ error: event.message || "?" }));
-  }
-  const id = ++asked;
-  return new Promise((resolve, reject) => {
-    waiting.set(id, (data) => {
-      if (data.error) reject(new Refusal("network", { error: data.error }));
-      else if (data.stage) tell(`stage_${data.stage}`);
-      else if (field in data && (data.step ?? 1) === 1) resolve(data);
-      else onOther(data);
-    });
-    worker.postMessage({ ...message, id });
-  }).finally(() => waiting.delete(id));
-}
-
-// Ends what the worker does; nobody waits for it any more.
 function stop() {
-  worker?.terminate();
-  worker = undefined;
-  waiting.clear();
+  end();
   $("estimate").disabled = false;
   busy(false);
 }
@@ -171,7 +151,7 @@ async function findObject(box = null, count = null) {
   }
   const after = (key, values = {}) => () => (count ? `${count()}: ` : "") + t(key, values);
   try {
-    const { found } = await ask({ kind: "mask", picture: seen, width: w, height: h }, "found");
+    const { found } = await ask({ kind: "mask", picture: seen, width: w, height: h }, "found", stage);
     if (edited !== state.mask) return; // other files were dropped meanwhile
     if (!found || (!box && isOnlyShine(small.images, n, found))) {
       say(after(box ? "none_kept" : "none"), !count);
@@ -244,7 +224,7 @@ async function estimate(known = null) {
   busy(true);
   try {
     const message = { kind: "normals", images, mask, width, height, n, known: right };
-    const { normals, seconds, threads } = await ask(message, "normals", (data) => {
+    const { normals, seconds, threads } = await ask(message, "normals", stage, (data) => {
       if (data.total) {
         const share = data.done / data.total;
         $("status").ariaLive = share < 1 ? "off" : "polite"; // no number is read aloud
@@ -278,7 +258,11 @@ async function estimate(known = null) {
 async function showResult() {
   const { result } = state;
   const answer = await fetch("./viewer.html").catch((error) => ({ statusText: error.message }));
-  if (!answer.ok) throw new Refusal("viewer", { error: answer.statusText });
+  for (const id of ["viewer", "save"]) $(id).hidden = !answer.ok;
+  if (!answer.ok) {
+    $("result").hidden = result !== state.result; // the normals can be saved
+    throw new Refusal("viewer", { error: answer.statusText });
+  }
   const template = await answer.text();
   const page = await viewerPage(template, result, t("surface"));
   if (result !== state.result) return false;
@@ -344,6 +328,7 @@ $("undo").onclick = () => editor.undo();
 $("find").onclick = () => findObject();
 $("whole").onclick = () => editor.replace(new Uint8Array(state.mask.length).fill(1));
 $("transfer").oninput = () => {
+  if (!state.photographs.length) return; // chosen for those that are dropped next
   editor.picture = picture();
   editor.draw();
 };
@@ -368,7 +353,7 @@ $("save").onclick = () => save("surface.html", state.page, "text/html");
 async function startOver() {
   await forget();
   Object.assign(state, { photographs: [], files: [], mask: null, result: null });
-  for (const id of ["work", "result", "download"]) $(id).hidden = true;
+  for (const id of ["choices", "work", "result", "download"]) $(id).hidden = true;
   $("drop").hidden = false;
   refocus("choose");
 }
@@ -390,7 +375,12 @@ async function takeUp() {
     state.result = { ...result, images };
     showNormals(result.normals, result.mask, result.width, result.height, 1);
     $("download").hidden = false;
-    if (await showResult()) tell("as_left");
+    try {
+      if (await showResult()) tell("as_left");
+    } catch (error) {
+      if (!(error instanceof Refusal)) throw error;
+      refuse(error);
+    }
   }
 }
 

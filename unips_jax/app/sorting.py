@@ -6,9 +6,10 @@ from pathlib import Path
 
 from unips_jax.app.objects import Object, Photograph
 from unips_jax.app.work import Chosen
+from unips_jax.io.selection import is_map, series_of
 
 # Reasons that follow from the other photographs.
-_TOGETHER = "size type encoding same unusable black".split()
+_TOGETHER = "map size type encoding same unusable black".split()
 
 
 def use(item: Object, photo: Photograph, wanted: bool) -> None:
@@ -21,6 +22,8 @@ def use(item: Object, photo: Photograph, wanted: bool) -> None:
         photo.state, photo.why = "new", ""
         if photo.facts:
             take(item, photo)
+    elif photo.why == "map":
+        photo.state = "used"  # and remains a map, by its name
     item.changed()
 
 
@@ -48,6 +51,14 @@ def sort_out(item: Object) -> None:
                 take(item, photo)
             else:
                 photo.state, photo.why = "used", ""
+    used = item.of_state("used")
+    maps = [photo for photo in used if is_map(photo.name) and photo.why != "map"]
+    series: list[Path] = []
+    if len(maps) == len(used):  # names decide only between files
+        series = series_of([Path(photo.name) for photo in maps])
+    for photo in maps:
+        if Path(photo.name) not in series:
+            photo.state, photo.why = "aside", "map"
     for why, of in (
         ("size", lambda facts: f"{facts['width']} x {facts['height']}"),
         ("type", lambda facts: facts["type"]),

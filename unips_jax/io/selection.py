@@ -235,7 +235,7 @@ def _by_name(
     for path in (e for e in entries if e.suffix.lower() == ".lp" and e.is_file()):
         if files := _listed(path, images, left_out):
             return files
-    files = [file for file in images if not is_map(file.name)] or _series(images)
+    files = [file for file in images if not is_map(file.name)] or series_of(images)
     maps = [file.name for file in images if file not in files]
     if maps:
         left_out["a map or output, by its name"] = maps
@@ -283,8 +283,11 @@ def _listed(
     return files
 
 
-def _series(maps: list[Path]) -> list[Path]:
-    """The largest set of files that differ by numbers and have a name of their own."""
+def series_of(maps: list[Path]) -> list[Path]:
+    """A series among what are maps by their names, such as `metal_bowl_0.png`, ...
+
+    The largest set of files that differ by numbers and have a name of their own.
+    """
     groups: dict[str, list[Path]] = {}
     for file in maps:
         if not _MAP_ONLY.fullmatch(file.stem):

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import cv2
 import numpy as np
 import scipy.ndimage
+import scipy.sparse.csgraph
 
 from unips_jax.errors import InputError
 from unips_jax.io.images import encode_image
@@ -101,7 +102,7 @@ def printable(
 
     largest = _largest(depth)
     step = _step(largest, max_faces or _PRINTED_FACES)
-    top = _without_pinches(_grid(largest, step))
+    top = _largest_part(_without_pinches(_grid(largest, step)))
     _require_faces(top)
     points = _points(depth, top.pixels, scale)
     points, facts = _sized(points, scale.unit, "mm", longest_mm)
@@ -223,18 +224,36 @@ def _largest(depth: np.ndarray) -> np.ndarray:
     return np.where(labels == 1 + sizes.argmax(), depth, np.nan)
 
 
+def _largest_part(mesh: Mesh) -> Mesh:
+    """Of a mesh in parts, as a coarse grid leaves of thin bridges, the largest."""
+    if not len(mesh.faces):
+        return mesh
+    count = len(mesh.pixels)
+    a, b = mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
+    edges = scipy.sparse.coo_array((np.ones(len(a), bool), (a, b)), (count, count))
+    _, part = scipy.sparse.csgraph.connected_components(edges, directed=False)
+    return _of_faces(mesh, part[mesh.faces[:, 0]] == np.bincount(part).argmax())
+
+
+def _of_faces(mesh: Mesh, kept: np.ndarray) -> Mesh:
+    """The mesh of some faces `[F]`, with the vertices that these need."""
+    faces = mesh.faces[kept]
+    used = np.zeros(len(mesh.pixels), bool)
+    used[faces.ravel()] = True
+    number = np.cumsum(used) - 1
+    return Mesh(mesh.vertices[used], number[faces].astype(np.int32), mesh.pixels[used])
+
+
 def _without_pinches(mesh: Mesh) -> Mesh:
     """A mesh no two parts of which meet in one vertex alone: those are cut away."""
-    faces = mesh.faces
-    while len(faces):
+    kept = np.ones(len(mesh.faces), bool)
+    while kept.any():
+        faces = mesh.faces[kept]
         edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), -1)
         edges, times = np.unique(edges, axis=0, return_counts=True)
         ends = np.bincount(edges[times == 1].ravel(), minlength=len(mesh.pixels))
         bad = ends > 2
         if not bad.any():
             break
-        faces = faces[~bad[faces].any(-1)]
-    used = np.zeros(len(mesh.pixels), bool)
-    used[faces.ravel()] = True
-    number = np.cumsum(used) - 1
-    return Mesh(mesh.vertices[used], number[faces].astype(np.int32), mesh.pixels[used])
+        kept[kept] = ~bad[faces].any(-1)
+    return _of_faces(mesh, kept)

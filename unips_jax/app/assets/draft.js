@@ -163,10 +163,10 @@ function showAside(failed) {
       return line(failure.file.name, failure.text, failure.lost ? again : null, away);
     }),
     ...aside.map((photo) => {
-      const mine = photo.why === "you" || photo.why === "second_mask";
-      const back = el("button", { type: "button", textContent: t(photo.why === "you" ? "use_again" : "use_mask") });
-      back.addEventListener("click", () => use(photo, true));
-      return line(photo.name, t(`why_${photo.why}`, photo), mine ? back : null, null, photo.why !== "you");
+      const mine = { you: "use_again", second_mask: "use_mask", map: "use_map" }[photo.why];
+      const back = mine ? el("button", { type: "button", textContent: t(mine) }) : null;
+      back?.addEventListener("click", () => use(photo, true));
+      return line(photo.name, t(`why_${photo.why}`, photo), back, null, photo.why !== "you");
     }),
   ]);
 }
