@@ -69,13 +69,7 @@ def load_weights(source: str | os.PathLike[str]) -> UniversalNetwork:
             f"{path}: damaged: its parameters are not those of its hash "
             f"{metadata.get('hash')!r:.40}; fetch the file again"
         )
-    for name, array in arrays.items():
-        largest = np.abs(array).max(initial=0)  # NaN if there is one
-        if not largest <= _LARGEST:
-            raise InputError(
-                f"{path}: {name}: expected parameters of at most {_LARGEST:.0f}, got "
-                f"{largest:.3g}; take weights of an earlier step"
-            )
+    _check_values(path, arrays)
     # Not `jnp.asarray`: it compiles a program for every shape.
     return UniversalNetwork(config, unflatten_dict(jax.device_put(arrays), sep="."))
 
@@ -89,6 +83,18 @@ def _read_config(path: Path, metadata: Mapping[str, str]) -> ModelConfig:
             f"{path}: expected a ModelConfig as JSON in the metadata's 'config', got: "
             f"{reason}"
         ) from error
+
+
+def _check_values(
+    path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]
+) -> None:
+    for name, array in arrays.items():
+        largest = np.abs(array).max(initial=0)  # NaN if there is one
+        if not largest <= _LARGEST:
+            raise InputError(
+                f"{path}: {name}: expected parameters of at most {_LARGEST:.0f}, got "
+                f"{largest:.3g}; take weights of an earlier step"
+            )
 
 
 def _check_parameters(path: Path, config: ModelConfig, file: Any) -> None:
@@ -113,13 +119,13 @@ def _check_parameters(path: Path, config: ModelConfig, file: Any) -> None:
 
 def weights_path(source: str | os.PathLike[str]) -> Path:
     """The file behind a name of shipped weights, or behind a path."""
-    path = Path(source)
-    if path.suffix == ".safetensors":
-        if path.is_file():
-            return path
-        raise InputError(f"{path}: expected a weights file, found nothing there")
     if str(source) in SHIPPED:
         return _ASSETS / f"{source}.safetensors"
+    path = Path(source)
+    if path.is_file():
+        return path
+    if path.suffix == ".safetensors":
+        raise InputError(f"{path}: expected a weights file, found nothing there")
     raise InputError(
         f"weights {str(source)!r}: expected the path of a .safetensors file or one of "
         f"the shipped {SHIPPED}. Train some with `unips train`, or convert the "
@@ -152,12 +158,14 @@ def save_weights(
     """Writes weights, a .safetensors file that is complete or absent.
 
     `record` is how they were made, anything JSON can hold; `half` stores float16.
+    `InputError` for parameters that `load_weights` refuses; the file stays as it was.
     """
     dtype = np.float16 if half else np.float32
     arrays = {
         name: np.ascontiguousarray(array, dtype)
         for name, array in flatten_dict(network.params, sep=".").items()
     }
+    _check_values(path, arrays)
     text = to_json(network.config)
     metadata = {
         "config": text,

@@ -96,6 +96,9 @@ def test_a_folder_written_again_has_no_photographs_of_the_earlier(tmp_path):
     maps = {"roughness": np.full((8, 8), 0.5)}
     write_folder(folder, np.ones((5, 8, 8, 3)), mask, normals, {}, maps=maps)
     (folder / "lights.txt").write_text("mine")
+    name, depth = "0_{:02d}.png", np.ones((8, 8))
+    three = np.ones((3, 8, 8, 3))
+    write_folder(folder, three, mask, normals, {}, name=name, depth=depth)
     write_folder(folder, np.ones((2, 8, 8, 3)), mask, normals, {})
     names = sorted(path.name for path in folder.iterdir())
     assert names == (
@@ -114,9 +117,12 @@ def test_photographs_of_ones_own_are_not_replaced(tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == (
         ["L_001.png", "light_setup.png"]
     )
-    # Nor are they where it wrote before, but for names that its own have.
+    (folder / "meta.json").write_text('{"camera": "mine"}')
+    with pytest.raises(InputError, match="choose another"):
+        write_folder(folder, np.ones((2, 8, 8, 3)), mask, normals, {})
+    # Nor are they where an earlier version wrote, but for names that its own have.
     (folder / "L_001.png").unlink()
-    (folder / "meta.json").write_text("{}")
+    (folder / "meta.json").write_text('{"light": "mixed"}')
     write_folder(folder, np.ones((2, 8, 8, 3)), mask, normals, {})
     assert (folder / "light_setup.png").read_bytes() == b"mine"
 

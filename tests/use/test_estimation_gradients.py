@@ -157,6 +157,9 @@ def test_no_valid_image_gives_no_normal(network):
 
     gradient, normals = run(jnp.asarray(images), jnp.zeros(3, bool))
     assert not np.any(gradient) and not np.any(normals)
+    nothing = jnp.full(images.shape, jnp.nan)
+    gradient, normals = run(nothing, jnp.zeros(3, bool))
+    assert not np.any(gradient) and not np.any(normals)
     _, normals = run(jnp.asarray(images), jnp.array([True, False, False]))
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), mask, atol=1e-5)
 

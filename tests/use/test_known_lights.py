@@ -87,6 +87,14 @@ def test_lights_that_do_not_fit_are_refused(photographs):
                 estimate(network(), images, mask, lights=wrong)
         with pytest.raises(ValueError, match="a network that guesses lights, as the"):
             estimate(lively_network(SHALLOW), images, mask, lights=lights)
+    with pytest.raises(ValueError, match="0 for what is not known"):
+        estimate_photographs(network(), images, mask, lights=lights * np.nan)
+
+
+def test_photographs_of_signed_integers_have_no_scale(photographs):
+    images, mask, _ = photographs
+    with pytest.raises(ValueError, match="uint8, uint16 or floats, got int32"):
+        estimate_photographs(network(), (255 * images).astype(np.int32), mask)
 
 
 def test_a_guess_moves_as_far_as_the_error_does_not_explain():

@@ -30,6 +30,7 @@ STYLES = {
     "decimal commas, tabs": listed("\t", comma=True),
     "commas and blanks": listed(", "),
     "commas": listed(","),
+    "a blank after the name, commas": listed(",").replace(".jpg,", ".jpg "),
     "semicolons": listed(";"),
     "semicolons, decimal commas": listed(" ; ", comma=True),
     "quoted": listed(quote='"'),
@@ -63,7 +64,8 @@ def test_ways_to_write_the_same(tmp_path, style, coding):
 
 def test_places_in_pixels(tmp_path):
     pixels = np.array([[340, 220], [12.5, 7], [0, 0], [1, 2]])
-    for number, text in enumerate((listed(lights=pixels), listed(";", lights=pixels))):
+    for number, between in enumerate(" ,;"):
+        text = listed(between, lights=pixels)
         (tmp_path / f"{number}.lp").write_text(text)
         found = read_light_list(tmp_path / f"{number}.lp")
         assert found.names == tuple(NAMES) and found.problems == ()

@@ -163,9 +163,18 @@ def test_next_to_black_less_than_32_levels_are_left_out():
     for level, black, kept in ((30, 0, False), (36, 0, True), (30, 4, True)):
         brightest = np.full((5, 9), 200, np.uint8)
         brightest[:, :3], brightest[:, 3:6] = black, level
-        lit = lit_pixels(brightest)
+        lit = lit_pixels(brightest, "srgb")
         assert lit[:, 6:].all() and (lit[:, 3:6] == kept).all()
         assert lit[:, :3].all() == (black > 2)
+
+
+def test_nearly_black_is_a_share_of_light_however_values_encode_it():
+    brightest = np.full((5, 9), 200, np.uint8)
+    brightest[:, :3], brightest[:, 3:6] = 0, 4  # 1.6 % of linear light
+    assert lit_pixels(brightest, "linear")[:, 3:].all()
+    assert not lit_pixels(brightest, "srgb")[:, 3:6].any()
+    brightest[:, 3:6] = 3
+    assert not lit_pixels(brightest, "linear")[:, 3:6].any()
 
 
 def test_dark_parts_of_an_object_are_kept(tmp_path):

@@ -51,8 +51,8 @@ def seen(index, width=WIDTH, height=HEIGHT):
 
 def sfm_data(folder, version):
     """As AliceVision writes it: text for numbers, matrices column by column."""
-    if version == "1.0":
-        point = np.array([WIDTH, HEIGHT]) / 2 + OFFSET
+    if version in ("1.0", "1.2.1"):
+        point = OFFSET if version == "1.2.1" else np.array([WIDTH, HEIGHT]) / 2 + OFFSET
         lens = {"pxFocalLength": str(FOCAL), "pxInitialFocalLength": "-1"}
     else:
         point = OFFSET
@@ -74,7 +74,8 @@ def sfm_data(folder, version):
         transform["center"] = [str(value) for value in center]
         pose = {"transform": transform, "locked": "0"}
         poses.append({"poseId": str(5 + index), "pose": pose})
-    content = {"version": version.split(".") + ["0"], "views": views}
+    number = [*version.split("."), "0"][:3]
+    content = {"version": number, "views": views}
     return content | {"intrinsics": [lens], "poses": poses}
 
 
@@ -109,7 +110,7 @@ def given(tmp_path, version="1.2", **options):
     return [str(write_results(tmp_path, index, **options)) for index in range(3)]
 
 
-@pytest.mark.parametrize("version", ["1.0", "1.2"])
+@pytest.mark.parametrize("version", ["1.0", "1.2", "1.2.1"])
 def test_idr_cameras_project_as_the_views_do(tmp_path, version, capsys):
     results = given(tmp_path, version, half=version == "1.0")
     out = tmp_path / "out"

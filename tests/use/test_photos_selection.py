@@ -129,6 +129,12 @@ def test_patterns_overrule_names(tmp_path):
         "not an image": ["notes.txt"],
     }
     assert select(tmp_path, exclude=["mask*"]).mask_file is None
+    better = tmp_path / "elsewhere" / "better.png"
+    better.parent.mkdir()
+    touch(better.parent, better.name)
+    chosen = select(tmp_path, include=["*.png"], mask_file=better)
+    assert chosen.names == ("a.png", "depth_1.png", "depth_2.png")
+    assert chosen.left_out["a mask, and another one is given"] == ["mask.png"]
     with pytest.raises(InputError, match="4 left out .not among --include."):
         select(tmp_path, include=["*.exr"])
 
@@ -146,7 +152,7 @@ def test_given_mask_is_no_photograph(tmp_path):
     touch(tmp_path, "a.png", "shape.png", "mask.png")
     selection = select(tmp_path, mask_file=tmp_path / "shape.png")
     assert selection.names == ("a.png",)
-    assert selection.left_out == {"a map or output, by its name": ["mask.png"]}
+    assert selection.left_out == {"a mask, and another one is given": ["mask.png"]}
 
 
 def test_drawn_images_depend_on_the_seed_only(tmp_path):

@@ -11,7 +11,12 @@ import scipy.io
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import srgb_encode
-from unips_jax.io.normals import encode_normals, has_unit_length, write_normals
+from unips_jax.io.normals import (
+    encode_normals,
+    has_unit_length,
+    true_pixels,
+    write_normals,
+)
 from unips_jax.io.results import appearing_at_once, check_target, write_record
 from unips_jax.pictures.estimate_sheet import shade, write_sheet
 
@@ -68,6 +73,17 @@ def test_the_object_is_where_lengths_are_one_to_a_thousandth():
     expected = [False, False, True, True, False]
     z = np.float32([0, 0, 1]) * lengths[:, None]
     np.testing.assert_array_equal(has_unit_length(z), expected)
+
+
+def test_true_normals_of_eight_bits_are_whole_however_they_are_stored():
+    y, x = np.mgrid[-1:1:99j, -1:1:99j]
+    inside = np.hypot(x, y) < 0.95
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    exact = np.stack([x, y, z], -1) * inside[..., None]
+    np.testing.assert_array_equal(true_pixels(exact), inside)
+    coded = np.rint((exact + 1) * 127.5) / 127.5 - 1  # as 8 bits, in a file of 16
+    assert has_unit_length(coded)[inside].mean() < 0.5
+    np.testing.assert_array_equal(true_pixels(coded), inside)
 
 
 def test_files_appear_together_or_not_at_all(tmp_path):

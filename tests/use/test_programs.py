@@ -49,6 +49,12 @@ def test_nothing_is_traced_twice(traced):
     assert len(list(folder.iterdir())) == 4
 
 
+def test_a_bucket_is_no_folder_here(traced):
+    assert programs._place("double").parent == traced[2]
+    jax.config.update("jax_compilation_cache_dir", "gs://bucket/cache")
+    assert programs._place("double") is None
+
+
 def test_other_functions_and_other_code_are_apart(traced, monkeypatch):
     """Of equal shapes: a function's name and its code are part of the key."""
     double, count, _ = traced
@@ -139,6 +145,9 @@ def test_fast_is_nearly_the_same_with_the_mirrored_view_at_few_pixels(monkeypatc
     views.clear()
     fast = estimate_photographs(network, images, mask, fast=True)
     assert sum(views) < 0.7 * all_pixels
+    monkeypatch.setattr(streaming, "_STRIP", 1)  # in several strips of rows
+    strips = estimate_photographs(network, images, mask, fast=True)
+    np.testing.assert_array_equal(strips, fast)
     np.testing.assert_allclose(np.linalg.norm(fast, axis=-1), mask, atol=1e-5)
 
     cosine = (fast * whole).sum(-1)[mask]

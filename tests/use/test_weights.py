@@ -13,7 +13,7 @@ from safetensors.numpy import save_file
 from small_networks import SMALL, lively_network, lively_weights
 
 import unips_jax
-from unips_jax import angular_error_deg, estimate_normals
+from unips_jax import angular_error_deg, estimate_normals, weights
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image
 from unips_jax.io.normals import read_normals
@@ -44,6 +44,8 @@ def test_round_trip(tmp_path):
     assert record["score"] == 9.5
     assert record["hash"] == weights_hash(network)
     assert [p.name for p in tmp_path.iterdir()] == ["small.safetensors"]
+    path.rename(tmp_path / "mine")  # a name of one's own
+    assert load_weights(tmp_path / "mine").config == SMALL
 
 
 def test_shipped_weights_are_those_of_tiny():
@@ -169,15 +171,24 @@ def test_every_flipped_bit_is_found(tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e38, 7e4])
-def test_parameters_that_cannot_be_are_refused(tmp_path, value):
+def test_parameters_that_cannot_be_are_refused(tmp_path, monkeypatch, value):
+    """By who writes, which leaves the file as it was, and by who reads."""
     params = lively_weights()
     kernel = params["decoder"]["prediction"]["fc2"]["kernel"]
     params["decoder"]["prediction"]["fc2"]["kernel"] = kernel.at[0, 0].set(value)
-    save_weights(tmp_path / "bad.safetensors", UniversalNetwork(SMALL, params))
-    with pytest.raises(
+    file, wrong = tmp_path / "bad.safetensors", UniversalNetwork(SMALL, params)
+    refused = pytest.raises(
         InputError, match=r"decoder\.prediction\.fc2\.kernel: .* at most"
-    ):
-        load_weights(tmp_path / "bad.safetensors")
+    )
+    file.write_bytes(b"as it was")
+    with refused:
+        save_weights(file, wrong)
+    assert file.read_bytes() == b"as it was"
+    monkeypatch.setattr(weights, "_check_values", lambda *_: None)
+    save_weights(file, wrong)
+    monkeypatch.undo()
+    with refused:
+        load_weights(file)
 
 
 SIZES = json.loads(to_json(SMALL))

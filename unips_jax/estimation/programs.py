@@ -114,7 +114,7 @@ def default_device() -> jax.Device:
 def _place(name: str, *facts: Any) -> Path | None:
     """The file of a program, if there is a folder for it."""
     folder = getattr(jax.config, "jax_compilation_cache_dir", None)
-    if not folder:
+    if not folder or "://" in folder:  # a bucket, which JAX reaches by itself
         return None
     digest = hashlib.blake2b(digest_size=16)
     platform = default_device().platform

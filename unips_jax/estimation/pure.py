@@ -40,10 +40,10 @@ def estimate_normals(
 
     Pure and jitted; works under `jit`, under `vmap` over objects and under `grad` with
     respect to images and network. The encoder runs over a few images at a time and the
-    decoder over a few thousand set members, both recomputed in the backward pass, so
-    that memory beyond inputs and outputs is bounded in all three. Stretches without
-    masked pixels are skipped (not under `vmap`, which computes both branches of a
-    condition: use `jax.lax.map` over objects to keep that).
+    decoder over a few thousand set members, both recomputed in the backward pass: what
+    they hold is bounded in all three, beside a few copies of the images. Stretches
+    without masked pixels are skipped (not under `vmap`, which computes both branches of
+    a condition: use `jax.lax.map` over objects to keep that).
 
     On NVIDIA GPUs JAX multiplies float32 matrices with 10 bits of mantissa unless
     `jax.default_matmul_precision("highest")` surrounds the call.
@@ -121,12 +121,12 @@ def _estimate(
     # A mask that an outer `jit` knows would be worked through by its compiler.
     mask = jax.lax.optimization_barrier(mask)
     some: Array | bool = True
-    if valid is not None:  # without any image, all are taken, and nothing is given
-        some = jnp.any(valid)
-        valid = valid | ~some
+    if valid is not None:  # without any image, all are taken, as zeros
         # What does not count weighs 0, and 0 times NaN is NaN.
         images = jnp.where(valid[:, None, None, None], images, 0)
         lights = None if lights is None else jnp.where(valid[:, None], lights, 0)
+        some = jnp.any(valid)
+        valid = valid | ~some
     images = normalize_images(images, mask)
     views = make_views(images, mask, network.config, frame_kind, lights)
     encoding = encode(network, views, valid, **chunks.bounded(n))

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from unips_jax.checks import require_choice
+from unips_jax.checks import require, require_choice
 from unips_jax.estimation.programs import default_device, kept
 from unips_jax.io.color import Transfer, as_linear
 from unips_jax.models import chunks
@@ -34,6 +34,7 @@ Preview = Callable[[np.ndarray], None]
 """Called with normals of a coarse grid, `[h, w, 3]`, zero outside the mask."""
 
 _PREVIEW_CHUNKS = 8
+_STRIP = 2**20  # pixels of the photographs
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 
@@ -70,7 +71,7 @@ def estimate_photographs(
 
     Args:
         network: from `load_weights`.
-        images: `[N, H, W, 3]`, uint8, uint16 or float32.
+        images: `[N, H, W, 3]`, uint8, uint16 or floats, for "srgb" in [0, 1].
         mask: `[H, W]`, not 0 on the object; None for all of the image.
         transfer: how values encode light; "srgb" is undone first.
         frame: see `estimate_normals`.
@@ -86,7 +87,7 @@ def estimate_photographs(
 
     Raises:
         TypeError: if the network is not one.
-        ValueError: if shapes do not fit each other, or transfer or frame is unknown.
+        ValueError: if shapes or types do not fit, or transfer or frame is unknown.
     """
     found = estimate_with_lights(
         network,
@@ -118,6 +119,10 @@ def estimate_with_lights(
     """`estimate_photographs`, and the guessed lights; `preview` gets a coarse grid."""
     images = np.asarray(images)
     check_images(network, images.shape)
+    require(
+        images.dtype.kind in "uf",
+        f"images: expected uint8, uint16 or floats, got {images.dtype}",
+    )
     mask = np.ones(images.shape[1:3]) if mask is None else np.asarray(mask)
     mask = mask.astype(bool)
     check_mask(mask.shape, images.shape)
@@ -126,6 +131,10 @@ def estimate_with_lights(
     if lights is not None:
         lights = np.asarray(lights)
         check_lights(network.config, lights.shape, len(images))
+        require(
+            bool(np.isfinite(lights).all()),
+            "lights: expected finite numbers, 0 for what is not known, got others",
+        )
     count, padded = len(images), padded_size(len(images))
     valid = np.arange(padded) < count
     linear = functools.partial(as_linear, transfer=transfer)
@@ -159,9 +168,14 @@ def _decode_pixels(
     *,
     values: Callable[[np.ndarray, np.ndarray], np.ndarray],
     valid: np.ndarray,
+    every: int = 1,
     progress: Progress | None = None,
 ) -> np.ndarray:
-    """Normals of the masked pixels, `[H, W, 3]`, a chunk on every core at a time."""
+    """Normals of the masked pixels, `[H, W, 3]`, a chunk on every core at a time.
+
+    With `every`, of one row and column in so many, on that grid (see `_grid`).
+    """
+    mask = mask[_grid(every)]
     normals = np.zeros((*mask.shape, 3), np.float32)
     size = chunks.pixels_at_a_time(encoding.contexts)
     done, total = 0, int(np.count_nonzero(mask))
@@ -173,7 +187,7 @@ def _decode_pixels(
     decode_chunk = _decode.compiled(network, encoding, *example, valid)
 
     def decoded(place: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        y, x = (np.resize(p, size).astype(np.int32) for p in place)
+        y, x = (np.resize(every * p + every // 2, size).astype(np.int32) for p in place)
         (found,) = decode_chunk(network, encoding, values(y, x), (y, x), valid)
         return np.asarray(found)
 
@@ -185,6 +199,11 @@ def _decode_pixels(
     return normals
 
 
+def _grid(every: int) -> tuple[slice, slice]:
+    """Rows and columns in the middle of squares of pixels."""
+    return (slice(every // 2, None, every),) * 2
+
+
 def _show_coarse(
     preview: Preview,
     decoder: Callable[..., np.ndarray],
@@ -194,11 +213,8 @@ def _show_coarse(
     """Decodes a few chunks of pixels on a grid, if that is little of the work."""
     pixels = _PREVIEW_CHUNKS * chunks.pixels_at_a_time(encoding.contexts)
     step = max(4, math.ceil((np.count_nonzero(mask) / pixels) ** 0.5))
-    grid = (slice(step // 2, None, step),) * 2
-    few = np.zeros_like(mask)
-    few[grid] = mask[grid]
-    if few.any():
-        preview(decoder(encoding, few)[grid])
+    if mask[_grid(step)].any():
+        preview(decoder(encoding, mask, every=step))
 
 
 def _decode_fast(
@@ -216,16 +232,27 @@ def _decode_fast(
         return decoder(encoding, mask, progress=progress)
     seen, mirrored = (_view(encoding, index) for index in (0, 1))
     normals = decoder(seen, mask, progress=progress)
-    few = np.zeros_like(mask)
-    few[step // 2 :: step, step // 2 :: step] = True
-    few &= mask
-    change = np.where(few[..., None], decoder(mirrored, few) - normals, 0)
-    weight = ndimage.gaussian_filter(few.astype(np.float32), 0.6 * step)[..., None]
-    spread = ndimage.gaussian_filter(change, 0.6 * step, axes=(0, 1))
-    change = np.where(weight > 1e-4, spread / np.maximum(weight, 1e-4), 0)
-    total = np.where(mask[..., None], 2 * normals + change, 0)
-    length = np.linalg.norm(total, axis=-1, keepdims=True)
-    return (total / np.maximum(length, 1e-12)).astype(np.float32)
+    grid = _grid(step)
+    change = decoder(mirrored, mask, every=step)
+    change -= np.where(mask[grid][..., None], normals[grid], 0)
+    # A strip of rows at a time, with what reaches into it: no second picture is held.
+    height, width = mask.shape
+    rows = step * max(16, _STRIP // (step * width))
+    for top in range(0, height, rows):
+        first, last = max(top - 4 * step, 0), min(top + rows + 4 * step, height)
+        few = np.zeros((last - first, width, 4), np.float32)
+        seeds = few[grid]
+        seeds[..., :3] = change[first // step :][: len(seeds)]
+        seeds[..., 3] = mask[first:last][grid]
+        spread = ndimage.gaussian_filter(few, 0.6 * step, axes=(0, 1))
+        spread = spread[top - first :][:rows]
+        part, weight = normals[top : top + rows], spread[..., 3:]
+        spread = spread[..., :3] / np.maximum(weight, 1e-4)
+        total = 2 * part + np.where(weight > 1e-4, spread, 0)
+        length = np.linalg.norm(total, axis=-1, keepdims=True)
+        inside = mask[top : top + rows, :, None]
+        part[...] = np.where(inside, total / np.maximum(length, 1e-12), 0)
+    return normals
 
 
 def _view(encoding: Encoding, index: int) -> Encoding:

@@ -2,7 +2,7 @@
 
 A camera takes a point X of the world to the pixel K R (X - C), with x right, y down and
 z away from the viewer; (0, 0) and (width, height) are the image's corners. In SfMData
-(AliceVision's JSON, file versions 1.0 and 1.2) `rotation` holds R column by column, and
+(AliceVision's JSON, file versions 1.0 to 1.2.1) `rotation` holds R column by column, and
 `principalPoint` is a place, or in 1.2 an offset from the image's middle.
 """
 
@@ -72,6 +72,7 @@ def read_sfm_data(file: Path) -> tuple[list[Camera], dict[str, Any]]:
 
 def _cameras(content: dict[str, Any], folder: Path) -> list[Camera]:
     intrinsics = {item["intrinsicId"]: item for item in content["intrinsics"]}
+    version = [int(part) for part in content.get("version", ())]
     views: dict[str, list[dict[str, Any]]] = {}
     for view in content["views"]:
         views.setdefault(str(view["poseId"]), []).append(view)
@@ -91,7 +92,7 @@ def _cameras(content: dict[str, Any], folder: Path) -> list[Camera]:
                 str(views[pose][0]["viewId"]),
                 tuple(os.path.realpath(path) for path in paths),
                 size,
-                _matrix(lens, size),
+                _matrix(lens, size, version >= [1, 2, 1]),
                 rotation,
                 np.array(transform["center"], float),
                 any(float(value) for value in lens.get("distortionParams", ())),
@@ -100,10 +101,15 @@ def _cameras(content: dict[str, Any], folder: Path) -> list[Camera]:
     return sorted(cameras, key=lambda camera: (len(camera.pose), camera.pose))
 
 
-def _matrix(lens: dict[str, Any], size: tuple[int, int]) -> np.ndarray:
+def _matrix(
+    lens: dict[str, Any], size: tuple[int, int], from_middle: bool
+) -> np.ndarray:
+    """K; files of a focal length in pixels state the point so since version 1.2.1."""
     point = np.array(lens["principalPoint"], float)
     if "pxFocalLength" in lens:
         focal = np.array(lens["pxFocalLength"], float).ravel()
+        if from_middle:
+            point = point + np.array(size) / 2
     else:
         millimetre = size[0] / float(lens["sensorWidth"])
         focal = np.array([float(lens["focalLength"]) * millimetre])

@@ -31,6 +31,9 @@ _STYLES = (  # with commas between numbers, those in numbers need blanks too
     (re.compile(r"\s*;\s*|,?\s+"), _COMMA),
     (re.compile(r"\s*[,;]\s*"), _POINT),
 )
+# A blank after a file's name, commas alone between three numbers.
+_NUMBERS = r"\s*,\s*".join([_POINT.pattern] * 3)
+_AFTER_BLANK = re.compile(rf"(\.\w+[\"']?)\s+(?={_NUMBERS}$)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +101,7 @@ def _decoded(data: bytes) -> str:
 
 def _read(text: str) -> tuple[str, tuple[float, ...]]:
     """The name and the numbers of a line; none where it cannot be read."""
-    text = text.rstrip(" \t,;")
+    text = _AFTER_BLANK.sub(r"\1,", text.rstrip(" \t,;"))
     for count in (3, 2):
         for between, number in _STYLES:
             breaks = [match.span() for match in between.finditer(text)][-count:]

@@ -10,8 +10,8 @@ from unips_jax.io.color import Transfer, as_linear
 from unips_jax.io.images import ImageFile, read_image_file, require_finite
 
 _BLACK = 2  # levels of 255 that count as black
-_NEARLY_BLACK = 32  # next to black: what a JPEG leaves around an object, 1.4% of light
-_BLACK_SHARE, _NEARLY_SHARE = 0.0006, 0.0144  # the same, of white light
+# Of white light, the same, and next to black: what a JPEG leaves around an object.
+_BLACK_SHARE, _NEARLY_SHARE = 0.0006, 0.0145
 _FLOOR_MOST, _REACH_MOST = 0.03, 0.025  # of white: a background that is black at all
 _ALONG = 0.3  # of the frame
 _SPECK, _SPECK_SHARE = 4, 0.0005  # pixels, and of all: noise that goes beyond the rest
@@ -65,14 +65,16 @@ def mask_box(mask: np.ndarray, margin: int = 0) -> tuple[slice, slice]:
     return box[0], box[1]
 
 
-def lit_pixels(brightest: np.ndarray) -> np.ndarray:
+def lit_pixels(brightest: np.ndarray, transfer: Transfer) -> np.ndarray:
     """Where photographs are neither black, in 8 bits, nor nearly so next to it.
 
-    `brightest` is `[H, W]`, the largest value over photographs and colours.
+    Nearly is up to 1.4% of white light. `brightest` is `[H, W]`, the largest value over
+    photographs and colours.
     """
     if brightest.dtype != np.uint8:
         return brightest > 0
-    return _without(brightest <= _NEARLY_BLACK, brightest <= _BLACK)
+    black = brightest <= _BLACK
+    return _without(black | (as_linear(brightest, transfer) <= _NEARLY_SHARE), black)
 
 
 def lit_without_mask(brightest: np.ndarray, transfer: Transfer) -> np.ndarray:

@@ -133,6 +133,16 @@ def has_unit_length(normals: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
     return np.abs(1 - length) < tolerance
 
 
+def true_pixels(normals: np.ndarray) -> np.ndarray:
+    """Where a map of true normals has some: `[H, W]`, bool.
+
+    By PS-Wild's rule, or within 5 % where that leaves less than half: of values of 8
+    bits, whatever the file has, or of a map that was made smaller.
+    """
+    roughly, exactly = has_unit_length(normals, 0.05), has_unit_length(normals)
+    return exactly if 2 * exactly.sum() >= roughly.sum() else roughly
+
+
 def turn_normals(normals: np.ndarray, normal_map: NormalMap) -> np.ndarray:
     """Normals of arrays as those of a map's convention, and back."""
     return normals * np.array(_SIGNS[normal_map], normals.dtype)

@@ -192,7 +192,7 @@ class _Stack:
         if whole:
             lit = lit_without_mask(self.brightest, self.encoding.transfer)
         else:
-            lit = lit_pixels(self.brightest)
+            lit = lit_pixels(self.brightest, self.encoding.transfer)
         for kept, what in (
             (self.opaque, "that are transparent in a photograph"),
             (lit, "that are black in all photographs"),

@@ -29,11 +29,15 @@ from unips_jax.io.color import as_float
 from unips_jax.io.door import write_json
 from unips_jax.io.images import read_image, write_exr, write_image
 from unips_jax.io.naming import in_order
-from unips_jax.io.normals import encode_normals, has_unit_length, read_normals
+from unips_jax.io.normals import encode_normals, read_normals, true_pixels
 from unips_jax.io.results import UNSEEN, appearing_at_once
 from unips_jax.io.selection import is_photograph
 
 META, NORMALS, MASK = "meta.json", "normal.tif", "mask.png"
+# What objects consist of whose `meta.json` lists no files.
+_EARLIER = (
+    "L_[0-9]*.png [0-9]*.tif baseColor.tif roughness.tif metal.tif depth.exr".split()
+)
 FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
 
 
@@ -132,23 +136,26 @@ def write_folder(
         name: of the images' files, by number.
 
     Raises:
-        InputError: if the folder holds files, but no `meta.json`: it is somebody's own.
+        InputError: if the folder holds files, but no `meta.json` of this function: it
+            is somebody's own.
     """
     folder = Path(folder)
     own = folder.is_dir() and {path.name for path in folder.iterdir()} - UNSEEN
-    if own and META not in own:
+    meta = read_meta(folder)
+    if own and not {"files", "light"} & meta.keys():
         raise InputError(
             f"{folder}: expected a new folder, or one that was written here before "
             f"({META}), got one with other files, such as {min(own)}; choose another"
         )
-    earlier = "L_[0-9]*.png [0-9]*.tif baseColor.tif roughness.tif metal.tif".split()
+    earlier = () if "files" in meta else _EARLIER
     with appearing_at_once(folder, record=META, ours=earlier) as place:
         _write_files(place, images, mask, normals, name)
         for title, values in (maps or {}).items():
             write_image(place / f"{title}.tif", encode_linear(values))
         if depth is not None:
             write_exr(place / "depth.exr", {"Z": np.where(mask, depth, 0)})
-        write_json(place / META, dict(facts), indent=1)
+        files = sorted(path.name for path in place.iterdir())
+        write_json(place / META, {**facts, "files": files}, indent=1)
 
 
 def _write_files(
@@ -221,7 +228,7 @@ def read_object(
             [size, size]`, bool; `normals [size, size, 3]`, unit length inside.
     """
     normals = read_normals(files.normals)
-    mask = has_unit_length(normals)
+    mask = true_pixels(normals)
     if not mask.any():
         raise InputError(f"{files.normals}: expected unit normals, found no pixel")
     share = _resize(mask.astype(np.float32), size)

@@ -120,15 +120,15 @@ def select(
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
     own = [e for e in entries if _is_mask(e) and not _fits(e, exclude)]
-    if not masks:
-        entries = [e for e in entries if e not in own]
-    elif mask_file is None:
-        mask_file = _only_mask(folder, own)
+    unused = "by --mask none" if not masks else "a mask, and another one is given"
+    if masks and mask_file is None:
+        mask_file, own = _only_mask(folder, own), []
+    entries = [e for e in entries if e not in own]
     if mask_file and not mask_file.is_file():
         raise InputError(f"{mask_file}: expected a mask's image file, got no such file")
     images, left_out = _images(entries, mask_file, include, exclude)
-    if own and not masks:
-        left_out["by --mask none"] = [file.name for file in own]
+    if others := [e.name for e in own if not (mask_file and _same(e, mask_file))]:
+        left_out[unused] = others
     files = images if include else _by_name(folder, entries, images, left_out)
     files = each_once(files, left_out)
     if not files:

@@ -12,7 +12,7 @@ from unips_jax.io.color import as_linear
 from unips_jax.io.images import ImageFile, decode_image, read_image_file
 from unips_jax.io.masks import read_mask
 from unips_jax.io.naming import natural_key
-from unips_jax.io.normals import has_unit_length, normals_of
+from unips_jax.io.normals import normals_of, true_pixels
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.selection import SUFFIXES, Selection, folder_name, select
 
@@ -72,10 +72,8 @@ class Folder(Benchmark):
                     f"{entry.files[1]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
                     f"{file.path.name} has {normals.shape[1]} x {normals.shape[0]}"
                 )
-        elif file.pixels.dtype == np.uint8:
-            mask = has_unit_length(normals, 0.05)
         else:
-            mask = has_unit_length(normals)
+            mask = true_pixels(normals)
         return Truth(mask, normals)
 
     def photographs(
