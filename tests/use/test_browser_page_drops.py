@@ -217,7 +217,6 @@ def test_photographs_of_other_tags_are_refused(page, sets, tmp_path):
         f"return /1.png: expected values that encode light as in 0.png/.test({STATUS})",
     )
     # What the message advises is there, and is done.
-    page.find_element("css selector", "#choices summary").click()
     Select(page.find_element("id", "transfer")).select_by_value("srgb")
     drop_and_wait(page, deep)
     assert page.execute_script("return unips.state.photographs.length") == 2

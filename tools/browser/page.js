@@ -74,7 +74,10 @@ async function take(list, mask = null, again = false) {
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
     refuse(error);
-    if (error.key === "refused_tag") $("choices").hidden = false; // what it advises
+    if (error.key === "refused_tag") { // what it advises is there
+      $("choices").hidden = false;
+      $("choices").open = true;
+    }
     return false;
   }
 }

@@ -2,7 +2,7 @@
 
 A camera takes a point X of the world to the pixel K R (X - C), with x right, y down and
 z away from the viewer; (0, 0) and (width, height) are the image's corners. In SfMData
-(AliceVision's JSON, file versions 1.0 to 1.2.1) `rotation` holds R column by column, and
+(AliceVision's JSON, versions 1.0 to 1.2.1) `rotation` holds R column by column, and
 `principalPoint` is a place, or in 1.2 an offset from the image's middle.
 """
 
