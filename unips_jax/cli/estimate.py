@@ -21,7 +21,14 @@ import tyro
 
 from unips_jax.capture.views import views_by_time
 from unips_jax.cli.cluster import RayOptions, spread
-from unips_jax.console import command, expanded, parse, reason_of, start_jax
+from unips_jax.console import (
+    command,
+    expanded,
+    parse,
+    reason_of,
+    require_patterns,
+    start_jax,
+)
 from unips_jax.errors import InputError
 from unips_jax.estimation.folders import (
     NamedNetwork,
@@ -72,6 +79,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """`unips estimate`."""
     options = parse(Options, argv, prog="unips estimate", description=__doc__)
     options.how.check()
+    require_patterns(options.how.include, options.how.exclude)
     if options.where.ray:
         options.where.check()
     jobs = _jobs(options)
