@@ -149,12 +149,14 @@ def _of_several(options: type, group: str = "--") -> Iterator[tuple[str, str]]:
         given = getattr(hint, "__metadata__", ())
         kind = typing.get_args(hint)[0] if given else hint
         name = group + field.replace("_", "-")
-        if dataclasses.is_dataclass(kind):
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
             nameless = any(getattr(each, "name", None) == "" for each in given)
             yield from _of_several(kind, group if nameless else f"{name}.")
         elif typing.get_args(kind)[1:] == (...,):
-            aliases = [getattr(each, "aliases", None) or () for each in given]
-            yield from ((spelled, name) for spelled in [name, *sum(aliases, ())])
+            yield name, name
+            for each in given:
+                for alias in getattr(each, "aliases", None) or ():
+                    yield alias, name
 
 
 def expanded(paths: Iterable[Path]) -> Iterator[Path]:

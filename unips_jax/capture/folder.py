@@ -89,7 +89,8 @@ def _read(
     max_pixels: int,
 ) -> tuple[Capture | None, tuple[str, ...], list[Finding]]:
     """The photographs that can be read together, their names, and why others cannot."""
-    files, found = [f for f in selection.files if f.name in fitting], []
+    files = [f for f in selection.files if f.name in fitting]
+    found: list[Finding] = []
     while files:
         taken = dataclasses.replace(selection, files=tuple(files))
         try:
