@@ -1,15 +1,19 @@
 """What the commands share: their options, errors that are one line, and progress."""
 
 import contextlib
+import dataclasses
 import difflib
 import functools
 import glob
 import io
+import itertools
 import math
 import os
 import re
 import sys
 import time
+import typing
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -90,8 +94,8 @@ def parse(
     """Parses a command's arguments; the docstring of `options` describes them.
 
     With `negatable`, every --flag has its --no-flag. `InputError` for an option that
-    there is not, with those that are nearest; `SystemExit` after help, and with status
-    2 for other bad arguments.
+    there is not, with those that are nearest, and for one of several values that is
+    given twice; `SystemExit` after help, and with status 2 for other bad arguments.
     """
     import tyro
 
@@ -119,7 +123,40 @@ def parse(
         hint = f"perhaps {' or '.join(near)}; " if near else ""
         what = "has no option" if unknown[0].startswith("-") else "does not expect"
         raise InputError(f"{prog} {what} {unknown[0]}: {hint}see `{prog} --help`")
+    _require_once(options, arguments)
     return found
+
+
+def _require_once(options: type, arguments: Sequence[str]) -> None:
+    """Refuses an option of several values given twice: only the last would count."""
+    several, given = dict(_of_several(options)), Counter[str]()
+    for argument in itertools.takewhile(lambda a: a != "--", arguments):
+        name = argument.partition("=")[0]
+        name = name.replace("_", "-") if name.startswith("--") else name[:2]
+        given.update([several[name]] if name in several else [])
+    for option, count in given.items():
+        if count > 1:
+            times = "twice" if count == 2 else f"{count} times"
+            raise InputError(
+                f"{option}: expected once, with all its values after it, got it "
+                f"{times}; write {option} A B"
+            )
+
+
+def _of_several(options: type, group: str = "--") -> Iterator[tuple[str, str]]:
+    """How options that take any number of values may be written, and their names."""
+    for field, hint in typing.get_type_hints(options, include_extras=True).items():
+        given = getattr(hint, "__metadata__", ())
+        kind = typing.get_args(hint)[0] if given else hint
+        name = group + field.replace("_", "-")
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+            nameless = any(getattr(each, "name", None) == "" for each in given)
+            yield from _of_several(kind, group if nameless else f"{name}.")
+        elif typing.get_args(kind)[1:] == (...,):
+            yield name, name
+            for each in given:
+                for alias in getattr(each, "aliases", None) or ():
+                    yield alias, name
 
 
 def expanded(paths: Iterable[Path]) -> Iterator[Path]:
@@ -128,6 +165,17 @@ def expanded(paths: Iterable[Path]) -> Iterator[Path]:
         there = os.path.lexists(path)
         found = [] if there else sorted(map(Path, glob.glob(str(path))))
         yield from found or [path]
+
+
+def require_patterns(include: Sequence[str], exclude: Sequence[str]) -> None:
+    """Refuses a folder among patterns of file names: it was meant to be worked on."""
+    for option, patterns in (("--include", include), ("--exclude", exclude)):
+        for pattern in patterns:
+            if os.path.isdir(pattern):  # however long  # noqa: PTH112
+                raise InputError(
+                    f"{option} {pattern}: expected a pattern of file names, got a "
+                    "folder; name folders first"
+                )
 
 
 def _nearest(name: str, known: Sequence[str]) -> list[str]:
@@ -207,11 +255,15 @@ def cache_compilations(folder: str | os.PathLike[str] | None = None) -> None:
         return
     # Without a home folder, of the environment or the user's, nothing is kept.
     with contextlib.suppress(RuntimeError):
-        home = os.environ.get("XDG_CACHE_HOME")
-        place = (Path(home) if home else Path.home() / ".cache") / "unips_jax"
-        jax.config.update("jax_compilation_cache_dir", str(folder or place))
+        place = _cache_folder() if folder is None else folder
+        jax.config.update("jax_compilation_cache_dir", os.fspath(place))
         jax.config.update("jax_compilation_cache_max_size", 2**30)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def _cache_folder() -> Path:
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "unips_jax"
 
 
 @contextlib.contextmanager

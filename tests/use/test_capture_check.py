@@ -205,6 +205,23 @@ def folder(tmp_path):
     return folder
 
 
+@pytest.mark.parametrize(
+    ("left", "notes", "said"),
+    [
+        (0.93, (), "no object found: the whole image is taken as one surface, and a"),
+        (0.1, ("9 pixels are black: left out",), "no object found: all that is not bl"),
+    ],
+)
+def test_an_object_that_was_not_found_is_told(left, notes, said):
+    images, mask = photographs(4)
+    mask[: round(left * len(mask))] = True
+    mask[round(left * len(mask)) :] = False
+    finding = check(images, mask, mask_contrast=0.3, notes=notes)[0]
+    assert finding.kind == "no object" and finding.text.startswith(said)
+    found = check(images, mask, mask_contrast=0.7, mask_rule="plain background")
+    assert "no object" not in [finding.kind for finding in found]
+
+
 def test_what_files_tell(folder):
     capture = read_capture(select(folder))
     assert capture.cameras == ("Maker One",) * 8

@@ -15,9 +15,11 @@ import jax
 import pytest
 import rich.progress
 
+from unips_jax.cli import check, estimate, evaluate
 from unips_jax.cli.main import COMMANDS
 from unips_jax.cli.main import main as unips
-from unips_jax.console import cache_compilations, command, track
+from unips_jax.console import cache_compilations, command, parse, track
+from unips_jax.errors import InputError
 
 CHATTY = """
 from unips_jax.console import command
@@ -78,6 +80,31 @@ def test_a_slip_has_its_nearest_named(arguments, expected, capsys):
     assert expected in capsys.readouterr().err
 
 
+REQUIRED = "--benchmark uw --root a --workdir b"
+
+
+@pytest.mark.parametrize(
+    ("module", "typed", "said"),
+    [
+        (check, "a --exclude x* --json --exclude=y*", "--exclude: expected once, with"),
+        (estimate, "a -o b --known-lights c --known-lights d", "got it twice; write"),
+        (evaluate, f"{REQUIRED} -m sh1 --method l1 -ml1", "--method: .* it 3 times"),
+        (evaluate, f"{REQUIRED} --seeds 1 --seed 2", "--seeds: .* --seeds A B$"),
+        (evaluate, f"{REQUIRED} --num_images 3 --num-images 4", "--num-images: .*once"),
+    ],
+)
+def test_an_option_of_several_values_is_given_once(module, typed, said):
+    with pytest.raises(InputError, match=said):
+        parse(module.Options, typed.split(), prog="unips", description="")
+
+
+def test_values_are_no_options_and_of_one_value_the_last_holds():
+    typed = "--exclude=--exclude x --mask none --mask auto -- --exclude --exclude"
+    found = parse(check.Options, typed.split(), prog="unips", description="")
+    assert found.exclude == ("--exclude", "x") and found.mask == "auto"
+    assert len(found.folders) == 2
+
+
 @pytest.mark.parametrize(
     ("error", "expected"),
     [
@@ -117,7 +144,7 @@ def test_a_platform_that_is_not_there_is_one_line(name, tmp_path):
     assert "error: JAX_PLATFORMS=tpu: expected a platform" in ran.stderr
 
 
-def test_without_a_home_nothing_is_kept(monkeypatch):
+def test_without_a_home_nothing_is_kept_but_in_a_folder_given(monkeypatch, tmp_path):
     """As for a user without HOME and without an entry in the list of users."""
 
     def home():
@@ -129,6 +156,11 @@ def test_without_a_home_nothing_is_kept(monkeypatch):
     before = jax.config.jax_compilation_cache_dir
     cache_compilations()
     assert jax.config.jax_compilation_cache_dir == before
+    try:
+        cache_compilations(tmp_path)
+        assert jax.config.jax_compilation_cache_dir == str(tmp_path)
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
 
 
 INTERRUPTED = """

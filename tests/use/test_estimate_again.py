@@ -13,6 +13,7 @@ from test_views import photograph as taken
 from unips_jax.cli import main as cli
 from unips_jax.errors import InputError
 from unips_jax.estimation.options import FolderOptions
+from unips_jax.io.results import results_of
 from unips_jax.viewer.result import read_result
 
 
@@ -83,6 +84,23 @@ def test_photographs_are_found_from_anywhere(folder, tmp_path, calls, monkeypatc
     assert len(calls) == 1  # up to date
     assert record_of(tmp_path / "out" / "pot")["folder"] == str(moved)
     assert len(read_result(tmp_path / "out" / "pot").photographs) == 6
+
+
+def test_a_page_that_was_deleted_is_made_again(folder, tmp_path, calls):
+    results = tmp_path / "out" / "pot"
+    command = [folder, "-o", results.parent, "--view"]
+    assert run(*command) == 0
+    (results / "view.html").unlink()
+    # Until then the others are results.
+    archive = [results, "-o", tmp_path / "archive", "--export", "archive"]
+    assert cli.main(["surface", *map(str, archive)]) == 0
+    assert results / "view.html" not in results_of(results)
+    assert len(read_result(results).photographs) == 6
+    assert run(*command) == 0
+    assert len(calls) == 2 and (results / "view.html").is_file()
+    (results / "view.html").write_text("with notes")
+    assert run(*command) == 0
+    assert len(calls) == 2  # up to date
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -71,6 +71,25 @@ def test_exposure(dtype):
     assert re.match(said, dark)
 
 
+def test_light_beside_the_object_alone_is_not_saturated():
+    images, mask, names = sphere_images(dtype=np.float32)
+    images[3] = ~mask[..., None]
+    (line,) = capture_warnings(images, mask, names)
+    assert line.startswith("hardly any light: 3.png reaches 0.0%")
+
+
+def test_exposure_is_that_of_the_camera():
+    """Not that of what a dark frame leaves, in 16 bits."""
+    images, mask, names = sphere_images()
+    images[1] = np.where(images[1] > 100, 255, images[1])
+    images[6] //= 10
+    left = np.maximum(images.astype(int) - 3, 0) * mask[..., None]
+    found = look_at_values((left * 257).astype(np.uint16), mask, names, taken=images)
+    bright, dark = [finding.text for finding in found]
+    assert bright.startswith("saturated: 1.png ") and "1.png" not in dark
+    assert dark.startswith("underexposed: ") and "6.png 2" in dark
+
+
 def test_samples_are_taken_inside_the_mask():
     images, _, names = sphere_images(size=400)
     images[:, ::2, ::2] = 255
@@ -116,3 +135,7 @@ def test_a_found_mask_keeps_out_what_was_left_out(monkeypatch):
     expected = found.copy()
     expected[:25] = False
     np.testing.assert_array_equal(mask, expected)
+    opaque = np.ones_like(found)
+    opaque[45, 20] = expected[45, 20] = False
+    capture = Capture(images, images[0].any(axis=-1) & opaque, "srgb", opaque=opaque)
+    np.testing.assert_array_equal(prepare.with_suggested_mask(capture).mask, expected)

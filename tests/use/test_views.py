@@ -89,6 +89,21 @@ def test_views_have_results_of_their_own(folder, tmp_path, network_calls, capsys
     assert len(network_calls) == 3  # up to date
 
 
+def test_views_of_another_pause_are_named(folder, tmp_path, network_calls, capsys):
+    out = tmp_path / "out"
+    command = [folder, "-o", out, "--mask", "none", "--pause"]
+    assert run(*command, "30") == 0 and len(network_calls) == 4
+    single = photograph(tmp_path / "vase-07" / "a.jpg", 0).parent
+    assert run(single, "-o", out, "--mask", "none") == 0
+    (out / "vase-notes").mkdir()
+    (out / "vase-09").mkdir()
+    assert "earlier" not in capsys.readouterr().err
+    assert run(*command, "100") == 0
+    said = f"warning: {folder}: vase-03 in {out}: views of an earlier run, which this"
+    assert said in capsys.readouterr().err
+    assert (out / "vase-03" / "normals.json").is_file()
+
+
 def test_what_cannot_be_told_apart_is_named(folder, tmp_path, network_calls, capsys):
     out = tmp_path / "out"
     assert run(folder, "-o", out, "--pause", "-1") == 2

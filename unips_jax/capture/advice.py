@@ -33,21 +33,28 @@ _UNLIT = 0.06  # of the others' reach, in stored values
 
 
 def look_at_values(
-    images: np.ndarray, mask: np.ndarray, names: Sequence[str]
+    images: np.ndarray,
+    mask: np.ndarray,
+    names: Sequence[str],
+    *,
+    taken: np.ndarray | None = None,
 ) -> list[Finding]:
     """Lists what is wrong with a mask, with exposure and with the lights' variety.
 
-    Images are not black inside the mask, which has a pixel or more.
+    Images are not black inside the mask, which has a pixel or more; `taken` are the
+    same as they were exposed, where a dark frame was subtracted.
     """
     inside = int(mask.sum())
     step = math.ceil((inside / _SAMPLES) ** 0.5)
     if not mask[::step, ::step].any():
         step = 1
-    samples = images[:, ::step, ::step][:, mask[::step, ::step]]  # [N, P, 3]
+    few = (slice(None), slice(None, None, step), slice(None, None, step))
+    samples = images[few][:, mask[few[1:]]]  # [N, P, 3]
+    exposed = samples if taken is None else taken[few][:, mask[few[1:]]]
     return [
         *_count_findings(len(images), inside),
         *_mask_findings(mask, images),
-        *_exposure_findings(samples, names),
+        *_exposure_findings(exposed, names, _unlit(samples, names)),
         *_light_findings(samples, names),
     ]
 
@@ -134,11 +141,14 @@ def filled_holes(mask: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.n
     return np.isin(labels, numbers[seen]), areas[seen]
 
 
-def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Finding]:
+def _exposure_findings(
+    samples: np.ndarray, names: Sequence[str], unlit: list[Finding]
+) -> list[Finding]:
     brightest = samples.max(axis=-1)  # [N, P]
     # A camera's white may lie below the type's largest value; floats have none.
     white = brightest.max(axis=-1, keepdims=True)
     clipped = (brightest >= white).mean(axis=-1)
+    clipped[white[:, 0] <= 0] = 0  # light beside the object alone
     if samples.dtype != np.float32:
         full = np.iinfo(samples.dtype).max
         clipped[white[:, 0] < 2 * _DARK_LEVELS] = 0  # few levels: many share the last
@@ -153,8 +163,7 @@ def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Findin
         "{:.0%}",
         "saturated: {} of the object at the largest value; expose less",
     )
-    reach = np.percentile(brightest, 99, axis=-1).astype(np.float64)
-    unlit = _unlit(reach, names)
+    reach = _reach(samples)
     if samples.dtype != np.float32:
         levels = {
             name: level
@@ -171,8 +180,14 @@ def _exposure_findings(samples: np.ndarray, names: Sequence[str]) -> list[Findin
     return found + unlit
 
 
-def _unlit(reach: np.ndarray, names: Sequence[str]) -> list[Finding]:
+def _reach(samples: np.ndarray) -> np.ndarray:
+    """How bright each photograph becomes, but for its last percent: `[N]`."""
+    return np.percentile(samples.max(axis=-1), 99, axis=-1).astype(np.float64)
+
+
+def _unlit(samples: np.ndarray, names: Sequence[str]) -> list[Finding]:
     """One photograph without its lamp, among others."""
+    reach = _reach(samples)
     dark = np.flatnonzero(reach < _UNLIT * np.median(reach))
     if len(dark) != 1 or len(reach) < _FEW_IMAGES:
         return []

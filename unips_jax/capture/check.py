@@ -21,20 +21,27 @@ _BLURRED = 0.6  # of the median of fine detail over coarse
 _BLURRED_PARTS = 0.85  # the same, in three quarters of the picture's parts
 _FEWEST_PARTS = 6
 _PART = 8  # least side
-_WHOLE = 0.95  # of the image: less was cut out of black
+_WHOLE = 0.95  # of the image
 _EXPOSURES = 1.26  # a third of a stop
 
 
 def check_capture(
-    capture: Capture, names: Sequence[str], *, motion: Motion | None = None
+    capture: Capture,
+    names: Sequence[str],
+    *,
+    motion: Motion | None = None,
+    taken: np.ndarray | None = None,
 ) -> list[Finding]:
-    """Lists what is wrong with photographs, whose `motion` may be known already."""
+    """Lists what is wrong with photographs, whose `motion` may be known already.
+
+    `taken` are the images as the camera had them, where a dark frame was subtracted.
+    """
     images, mask = capture.images, capture.mask
     if motion is None:
         motion = find_motion(images, None if mask.all() else mask)
     found = [
         *_look_at_object(capture),
-        *look_at_values(images, mask, names),
+        *look_at_values(images, mask, names, taken=taken),
         *_look_at_motion(motion, names),
         *_look_at_focus(images, mask, names),
         *_look_at_cameras(capture, names),
@@ -42,21 +49,24 @@ def check_capture(
     if not any(f.kind in ("same light", "few photographs") for f in found):
         found += look_at_light(images, mask, capture.transfer)
     if capture.transfer_rule == _UNTAGGED:
-        found += look_at_encoding(images, mask)
+        found += look_at_encoding(images if taken is None else taken, mask)
     return found
 
 
 def _look_at_object(capture: Capture) -> list[Finding]:
     """Whether an object was looked for in vain, and all there is would be estimated."""
-    looked = capture.mask_contrast is not None
-    if not looked or capture.mask_rule or capture.mask.mean() < _WHOLE:
+    if capture.mask_contrast is None or capture.mask_rule:
         return []
+    what, risk = "the whole image", "a flat desk or wall would come out curved"
+    left_out = any(note.endswith(": left out") for note in capture.notes)
+    if left_out and capture.mask.mean() < _WHOLE:
+        black = "black" if capture.opaque is None else "black or transparent"
+        what, risk = f"all that is not {black}", "that may be highlights alone"
     return [
         Finding(
             "no object",
-            "no object found: the whole image is taken as one surface, and a flat "
-            "desk or wall would come out curved; give --mask FILE, or --mask none if "
-            "the whole image is meant",
+            f"no object found: {what} is taken as one surface, and {risk}; give "
+            f"--mask FILE, or --mask none if {what} is meant",
         )
     ]
 

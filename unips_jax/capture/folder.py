@@ -24,6 +24,11 @@ class Report:
     capture: Capture | None  # those that fit together, read; None where they cannot be
     findings: tuple[Finding, ...]  # what is wrong; empty if nothing is
 
+    def renamed(self, text_of: Callable[[str], str]) -> "Report":
+        """The same, with each finding's text as `text_of` has it."""
+        found = (dataclasses.replace(f, text=text_of(f.text)) for f in self.findings)
+        return dataclasses.replace(self, findings=tuple(found))
+
     def record(self) -> dict[str, Any]:
         """JSON values."""
         record: dict[str, Any] = {
@@ -68,19 +73,35 @@ def check_photographs(
             found.append(Finding("unreadable", str(error), (path.name,)))
     fitting, odd = _alike(headers, transfer)
     found += odd
-    capture = None
-    if fitting:
-        files = tuple(f for f in selection.files if f.name in fitting)
-        taken = dataclasses.replace(selection, files=files)
-        try:
-            capture = read_capture(taken, transfer=transfer, max_pixels=max_pixels)
-        except InputError as error:
-            found.append(Finding("unusable", str(error)))
+    capture, names, unusable = _read(selection, fitting, transfer, max_pixels)
+    found += unusable
     if capture is not None:
         if look_for_mask and selection.mask_file is None:
             capture = with_suggested_mask(capture)
-        found += check_capture(capture, taken.names)
+        found += check_capture(capture, names)
     return Report(selection, capture, tuple(found))
+
+
+def _read(
+    selection: Selection,
+    fitting: set[str],
+    transfer: Transfer | None,
+    max_pixels: int,
+) -> tuple[Capture | None, tuple[str, ...], list[Finding]]:
+    """The photographs that can be read together, their names, and why others cannot."""
+    files = [f for f in selection.files if f.name in fitting]
+    found: list[Finding] = []
+    while files:
+        taken = dataclasses.replace(selection, files=tuple(files))
+        try:
+            capture = read_capture(taken, transfer=transfer, max_pixels=max_pixels)
+            return capture, taken.names, found
+        except InputError as error:
+            bad = [f for f in files if str(error).startswith(f"{f}: ")][:1]
+            names = tuple(f.name for f in bad)
+            found.append(Finding("unusable", str(error), names))
+            files = [f for f in files if f not in bad] if bad else []
+    return None, (), found
 
 
 _KINDS: dict[str, tuple[Callable[[Encoded], Hashable], str]] = {

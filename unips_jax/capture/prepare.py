@@ -30,6 +30,8 @@ def with_suggested_mask(capture: Capture) -> Capture:
     # Black specks on an object are a part of it, and so is what looks like it.
     mask |= guess.mask & small_holes(mask)
     mask |= filled_holes(mask, capture.images)[0]
+    if capture.opaque is not None:
+        mask &= capture.opaque
     # What was left out of the whole image lies around the object: no news.
     notes = tuple(note for note in capture.notes if not note.endswith(": left out"))
     return dataclasses.replace(
@@ -84,7 +86,8 @@ def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> 
 def in_place(capture: Capture) -> tuple[Capture, Motion]:
     """The photographs with those that moved brought back; and how they had moved.
 
-    Where not all of them have content, nothing is inside the mask any more.
+    Where not all of them have content, nothing is inside the mask any more. The same
+    capture, if none moved or nothing would be left inside.
     """
     mask = None if capture.mask.all() else capture.mask
     motion = find_motion(capture.images, mask)

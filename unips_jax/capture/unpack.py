@@ -72,10 +72,13 @@ def unpacked(
                 _unpack_pages(path, folder, max_pixels)
             yield folder
         except InputError as error:
-            # The folder is gone when the message is read.
-            part = re.escape(str(folder)) + r"(?:[/\\]([^:,;]+)\.\w+)?"
-            text = re.sub(part, lambda m: f"{path} {m[1] or ''}".rstrip(), str(error))
-            raise InputError(text) from None
+            raise InputError(without_place(str(error), folder, path)) from None
+
+
+def without_place(text: str, folder: Path, path: Path) -> str:
+    """What is said of the folder of `unpacked`, which goes, said of the file."""
+    part = re.escape(str(folder)) + r"(?:[/\\]([^:,;]+)\.\w+)?"
+    return re.sub(part, lambda m: f"{path} {m[1] or ''}".rstrip(), text)
 
 
 def _unpack_pages(path: Path, folder: Path, max_pixels: int) -> None:

@@ -19,8 +19,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from unips_jax.capture.folder import Report, check_photographs
-from unips_jax.capture.unpack import is_container, unpacked
-from unips_jax.console import command, expanded, parse
+from unips_jax.capture.unpack import is_container, unpacked, without_place
+from unips_jax.console import command, expanded, parse, require_patterns
 from unips_jax.errors import InputError
 from unips_jax.io.images import MAX_PIXELS
 from unips_jax.io.normal_maps import Examined, is_normal_map, read_normal_map
@@ -67,28 +67,44 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = parse(Options, argv, prog="unips check", description=__doc__)
     if not options.folders:
         raise InputError("expected a folder of photographs, got none; name it")
-    reports = []
-    for folder in expanded(options.folders):
-        if is_normal_map(folder):
-            found = read_normal_map(folder, options.normal_map)
-            if options.json:
-                reports.append(_normal_map_record(folder, found))
-            else:
-                _print_normal_map(folder, found)
-            continue
-        report = _check(folder, options)
-        if options.json:
-            reports.append(report.record())
-        else:
-            _print(report)
+    require_patterns(options.include, options.exclude)
+    records, failed = [], []
+    folders = [*expanded(options.folders)]
+    for folder in folders:
+        try:
+            records.append(_looked_at(folder, options))
+        except InputError as error:
+            if len(folders) == 1:
+                raise
+            print(f"error: {error}", file=sys.stderr)
+            failed.append(str(folder))
     if options.json:
-        print(json.dumps(reports, indent=2))  # in any console's encoding
+        print(json.dumps(records, indent=2))  # in any console's encoding
+    if failed:
+        raise InputError(
+            f"{len(failed)} of {len(folders)} could not be looked at: "
+            f"{', '.join(failed)}"
+        )
+
+
+def _looked_at(folder: Path, options: Options) -> dict[str, Any]:
+    """What is found in a folder or a normal map; printed, unless as JSON."""
+    if is_normal_map(folder):
+        found = read_normal_map(folder, options.normal_map)
+        if not options.json:
+            _print_normal_map(folder, found)
+        return _normal_map_record(folder, found)
+    report = _check(folder, options)
+    if not options.json:
+        _print(report)
+    return report.record()
 
 
 def _check(folder: Path, options: Options, source: Path | None = None) -> Report:
     if is_container(folder):
         with unpacked(folder, max_pixels=options.max_pixels) as place:
-            return _check(place, options, folder)
+            report = _check(place, options, folder)
+            return report.renamed(lambda text: without_place(text, place, folder))
     selection = select(
         folder,
         mask_file=options.mask if isinstance(options.mask, Path) else None,

@@ -9,9 +9,11 @@ With --pause, a folder holds photographs of several places of the camera, one af
 other: NAME-00, NAME-01, ... receive a view's normals each.
 """
 
+import contextlib
 import dataclasses
 import functools
 import glob
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +23,14 @@ import tyro
 
 from unips_jax.capture.views import views_by_time
 from unips_jax.cli.cluster import RayOptions, spread
-from unips_jax.console import command, expanded, parse, reason_of, start_jax
+from unips_jax.console import (
+    command,
+    expanded,
+    parse,
+    reason_of,
+    require_patterns,
+    start_jax,
+)
 from unips_jax.errors import InputError
 from unips_jax.estimation.folders import (
     NamedNetwork,
@@ -32,7 +41,8 @@ from unips_jax.estimation.folders import (
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.reading import chosen_photographs
 from unips_jax.io.naming import composed
-from unips_jax.io.results import check_target, clear_leftovers
+from unips_jax.io.record_schema import load_record
+from unips_jax.io.results import RECORD, check_target, clear_leftovers
 from unips_jax.io.selection import folder_name
 
 
@@ -72,6 +82,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """`unips estimate`."""
     options = parse(Options, argv, prog="unips estimate", description=__doc__)
     options.how.check()
+    require_patterns(options.how.include, options.how.exclude)
     if options.where.ray:
         options.where.check()
     jobs = _jobs(options)
@@ -201,6 +212,12 @@ def _views(folder: Path, target: Path, how: FolderOptions, pause: float) -> list
     views = views_by_time(selection.files, pause, max_pixels=how.max_pixels)
     counts = " + ".join(str(len(view)) for view in views)
     print(f"{folder}: {len(views)} views, of {counts} photographs")
+    if earlier := _earlier_views(target, len(views)):
+        print(
+            f"warning: {folder}: {', '.join(earlier)} in {target.parent}: views of an "
+            "earlier run, which this one does not have; remove them",
+            file=sys.stderr,
+        )
     return [
         _Job(
             folder,
@@ -209,6 +226,19 @@ def _views(folder: Path, target: Path, how: FolderOptions, pause: float) -> list
         )
         for index, view in enumerate(views)
     ]
+
+
+def _earlier_views(target: Path, count: int) -> list[str]:
+    """Results of further views of a folder of this name, from another --pause."""
+    found = []
+    for place in sorted(target.parent.glob(f"{glob.escape(target.name)}-*")):
+        number = place.name.removeprefix(f"{target.name}-")
+        if re.fullmatch("[0-9]{2,}", number) and int(number) >= count:
+            with contextlib.suppress(InputError):
+                made_of = Path(load_record(place / RECORD).get("folder", ""))
+                if made_of.name.removesuffix(".data") == target.name:
+                    found.append(place.name)
+    return found
 
 
 if __name__ == "__main__":

@@ -73,19 +73,22 @@ def read_and_look(
     """Reads photographs, prepares them as the options ask, and looks for faults."""
     capture = _read(selection, options, reader, verbose=verbose)
     facts: dict[str, Any] = {}
-    motion = None
+    motion, taken = None, None
     if options.dark is not None:
+        taken = capture.images
         dark = reader(dark_file(selection.folder, options.dark))
         capture = without_ambient(capture, dark, selection.names)
     if options.register:
-        capture, motion = in_place(capture)
-        offsets = motion.offsets.round(2).tolist()
-        moves = zip(selection.names, offsets, strict=True)
-        facts["moved_back"] = {name: move for name, move in moves if any(move)}
-        motion = still(motion)
+        brought_back, motion = in_place(capture)
+        facts["moved_back"] = {}
+        if brought_back is not capture:
+            offsets = motion.offsets.round(2).tolist()
+            moves = zip(selection.names, offsets, strict=True)
+            facts["moved_back"] = {name: move for name, move in moves if any(move)}
+            capture, motion = brought_back, still(motion)
     if options.looks_for_mask and selection.mask_file is None:
         capture = with_suggested_mask(capture)
-    findings = check_capture(capture, selection.names, motion=motion)
+    findings = check_capture(capture, selection.names, motion=motion, taken=taken)
     facts["findings"] = [finding.record() for finding in findings]
     facts["mask_contrast"] = capture.mask_contrast
     facts["mask_rule"] = capture.mask_rule

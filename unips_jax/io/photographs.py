@@ -64,6 +64,8 @@ class Capture:
     # how the first file's values encode light, and how it was turned by EXIF
     encoding: Encoding | None = None
     orientation: int = 1
+    # `[H, W]`, bool: where no photograph is transparent; None if that is everywhere
+    opaque: np.ndarray | None = None
 
 
 def read_photographs(
@@ -133,6 +135,7 @@ def read_capture(
         tuple(stack.exposures),
         encoding=encoding,
         orientation=stack.first.orientation,
+        opaque=None if stack.opaque.all() else stack.opaque,
     )
 
 

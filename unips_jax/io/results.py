@@ -68,13 +68,17 @@ def write_record(folder: Path, record: dict[str, Any]) -> list[str]:
 def read_record(folder: Path) -> dict[str, Any] | None:
     """The record of a folder of results; None unless all files are as written."""
     try:
-        return whole_record(folder)
+        record = whole_record(folder)
     except InputError:
         return None
+    return record if all((folder / n).is_file() for n in record["files"]) else None
 
 
 def whole_record(folder: Path) -> dict[str, Any]:
-    """The record of a folder of results; refused if a file was changed since."""
+    """The record of a folder of results; refused if a file was changed since.
+
+    The page that readers edit may be another, and gone.
+    """
     record = load_record(folder / RECORD)
     for name, value in record["files"].items():
         if name not in _EDITABLE and file_hash(file_of(folder, name)) != value:
@@ -86,11 +90,12 @@ def whole_record(folder: Path) -> dict[str, Any]:
 
 
 def results_of(folder: Path) -> list[Path]:
-    """The files of a folder of results that its record names; none without a record."""
+    """The files of a folder of results, there and named by its record if it has one."""
     if not (folder / RECORD).is_file():
         return [folder / "normals.npy"] if folder.is_dir() else [folder]
     names = whole_record(folder)["files"]
-    return [folder / name for name in [*names, RECORD]]
+    files = [folder / name for name in [*names, RECORD]]
+    return [file for file in files if file.is_file()]
 
 
 def normal_map_of(folder: Path) -> str:
