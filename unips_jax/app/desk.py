@@ -60,7 +60,6 @@ class Desk:
         self._estimates: asyncio.Task | None = None
         self._current: asyncio.Task | None = None
         self._warmed: set[asyncio.Task] = set()
-        self._closing = False
 
     def start(self) -> None:
         """Goes on with what waits."""
@@ -222,14 +221,20 @@ class Desk:
             item.state = "cancelled"
             item.save()
         elif item.state == "running" and self._current is not None:
+            item.state = "cancelled"
             self._current.cancel()
 
     async def _estimate_all(self) -> None:
-        while self.queue and not self._closing:
+        this = asyncio.current_task()
+        assert this is not None
+        while self.queue:
             item = self.queue[0]
             self._current = asyncio.create_task(self._estimate(item))
-            with contextlib.suppress(asyncio.CancelledError):
+            try:
                 await self._current
+            except asyncio.CancelledError:
+                if this.cancelling():  # the server ends, not this estimate alone
+                    raise
             with contextlib.suppress(ValueError):
                 self.queue.remove(item)
 
@@ -255,7 +260,8 @@ class Desk:
             )
             item.state = "done"
         except asyncio.CancelledError:
-            item.state = "waiting" if self._closing else "cancelled"
+            if item.state == "running":  # nobody cancelled it: the server ends
+                item.state = "waiting"
             raise
         except InputError as error:
             item.state = "failed"
@@ -285,7 +291,6 @@ class Desk:
 
     async def close(self) -> None:
         """Ends all; what was not done goes on with the next server."""
-        self._closing = True
         tasks = [*self._readings.values(), self._current, self._estimates]
         for task in (*tasks, *self._warmed):
             if task is not None:
