@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from unips_jax.app import exports, work
-from unips_jax.app.answers import reason_of, without_folder
+from unips_jax.app.answers import problem_of, reason_of, without_folder
 from unips_jax.app.limits import Limits
 from unips_jax.app.objects import Object, Objects, Photograph, clean
 from unips_jax.app.sorting import chosen, sort_out, take
@@ -156,7 +156,8 @@ class Desk:
         except InputError as error:
             if item.version == version:
                 item.found, item.found_version = None, version
-                item.problem = without_folder(str(error), item.inbox)
+                text = without_folder(str(error), item.inbox)
+                item.problem = problem_of(text)
                 item.save()
             return
         if item.version != version:
