@@ -1,6 +1,7 @@
 """The tools: converter, benchmark, Blender's setup, training of GCNet."""
 
 import dataclasses
+import json
 import runpy
 import sys
 from pathlib import Path
@@ -300,6 +301,15 @@ def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "without light_tokens" in error
     assert not output.exists()
+
+
+def test_seconds_say_of_which_weights(tmp_path, monkeypatch):
+    main = runpy.run_path(str(TOOLS / "seconds.py"))["main"]
+    for name in ("commands", "growth"):
+        monkeypatch.setitem(main.__wrapped__.__globals__, name, lambda *_: {})
+    assert main(["-o", str(tmp_path / "seconds.json")]) == 0
+    found = json.loads((tmp_path / "seconds.json").read_text())
+    assert found["hash"] == weights_record("tiny")["hash"]
 
 
 def test_seconds_of_a_process_are_its_own(tmp_path):
