@@ -41,7 +41,7 @@ from unips_jax.train import load_config
 from unips_jax.training.compilation import compile_together
 from unips_jax.training.config import Config, DataConfig
 from unips_jax.training.state import new_state
-from unips_jax.training.step import train_step
+from unips_jax.training.step import Batch, train_step
 from unips_jax.weights import random_weights
 
 # Rows of the plain products: enough for their full rate.
@@ -221,33 +221,31 @@ def estimation_benchmark(
     }
 
 
-def training_batch(config: Config, images: int) -> dict[str, jax.Array]:
-    """Objects for one step; the truth does not matter."""
-    data = config.data
-    stack, mask = disc(images, data.image_size)
-    normals = np.zeros((data.image_size,) * 2 + (3,), np.float32)
-    normals[..., 2] = 1
-    one = {"images": stack, "mask": mask, "normals": normals}
-    if config.model.guesses:
-        one["lights"] = np.zeros((images, 3), np.float32)
-    return {
-        name: jnp.asarray(np.broadcast_to(value, (data.batch_size, *value.shape)))
-        for name, value in one.items()
-    }
+def training_batch(render: Callable[[], Batch]) -> Batch:
+    """Objects for one step, with all that scenes give; the truth does not matter."""
+    made = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(render))
+    stack, mask = disc(*made["images"].shape[1:3])
+    up = made["normals"].at[..., 2].set(1)
+    of_all = {"images": made["images"] + stack, "mask": made["mask"] | mask}
+    return made | of_all | {"normals": up}
 
 
 def training_benchmark(config: Config, images: int, repeats: int) -> dict:
     """One step on one object, and the scenes it would need."""
-    from unips_jax.scenes import render_batch
+    from unips_jax.scenes import load_meshes
+    from unips_jax.training.batches import scene_batch
 
     data, model = config.data, config.model
-    batch = training_batch(config, images)
+    key = jax.random.key(1)
+    meshes, keys = load_meshes(config.scenes), jax.random.split(key, data.batch_size)
+    make = jax.jit(functools.partial(scene_batch, config=config, num_images=images))
+    render = functools.partial(make, keys, meshes)
+    batch = training_batch(render)
     state = new_state(config, jax.random.key(0))
     step = compile_together(
         jax.jit(functools.partial(train_step, config=config), donate_argnums=0),
         compiling=lambda _: contextlib.nullcontext(),
     )
-    key = jax.random.key(1)
     state, _ = jax.block_until_ready(step(state, batch, key))
     first_peak = peak_memory_gb()
     forget_peak_memory()
@@ -263,12 +261,8 @@ def training_benchmark(config: Config, images: int, repeats: int) -> dict:
         times.append(time.perf_counter() - start)
         rates.append(matrix_rate(model))
     seconds, step_peak = statistics.median(times), peak_memory_gb()
-    render = functools.partial(
-        render_batch, size=data.image_size, num_images=images, config=config.scenes
-    )
-    keys = jax.random.split(key, data.batch_size)
-    jax.block_until_ready(render(keys))
-    scenes = median_seconds(lambda: render(keys), repeats)
+    jax.block_until_ready(render())
+    scenes = median_seconds(render, repeats)
     return {
         "objects": data.batch_size,
         "images": images,

@@ -10,6 +10,7 @@ object with the means of every source and kind, over objects that have such a tr
 
 lights: the angle between directions and the truth, by the network's guesses, by least
 squares, and of the constant (0, 0, 1); in a set's mixed light the lamp's direction;
+without photographs whose mean direction is shorter than 0.2;
 colors: PSNR up to one factor, peak the 99th percentile of the truth, with the
 photographs' mean and one colour, metals left out; and of texture maps against the
 photographs;
@@ -326,13 +327,12 @@ def _psnr(found: np.ndarray, truth: np.ndarray) -> float:
     return float(-10 * np.log10(np.square(factor * found - truth).mean() / peak**2))
 
 
-def _means(rows: Sequence[dict[str, float]]) -> dict[str, float]:
+def _means(rows: Sequence[dict[str, float]]) -> dict[str, Any]:
+    """Each figure's mean over the objects that have it, and how many they are."""
     names = dict.fromkeys(name for row in rows for name in row)
-    means = {
-        name: round(float(np.mean([row[name] for row in rows if name in row])), 2)
-        for name in names
-    }
-    return {"objects": len(rows), **means}
+    found = {name: [row[name] for row in rows if name in row] for name in names}
+    means = {name: round(float(np.mean(values)), 2) for name, values in found.items()}
+    return {"objects": {name: len(found[name]) for name in names}, **means}
 
 
 def _confidence(objects: Sequence[Errors]) -> dict[str, Any]:

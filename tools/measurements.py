@@ -140,7 +140,9 @@ MEASUREMENTS = {
         "Mean angle between the photographs' directions of light and the truth, in "
         "degrees: by the network's guesses, by least squares on its normals, and of "
         "(0, 0, 1). Thirty scenes of 96 x 96 with 8 photographs, DiLiGenT's objects "
-        "and ps-wild-mini with 10; in its mixed light, the lamp's direction.",
+        "and ps-wild-mini with 10; in its mixed light, the lamp's direction. "
+        "Photographs whose mean direction is shorter than 0.2, of light from all "
+        "around, are left out.",
         _OTHER_MAPS,
         functools.partial(
             readings.maps,
@@ -154,7 +156,8 @@ MEASUREMENTS = {
         "PSNR in decibels, higher is better: base colour of what is no metal, up to "
         "one factor, against the 99th percentile of the truth; with the mean of the "
         "photographs and one colour; texture maps (PTM) against the photographs they "
-        "were fitted to.",
+        "were fitted to. Where there are two numbers of objects, the second is that of "
+        "the texture maps.",
         _OTHER_MAPS,
         functools.partial(
             readings.maps,

@@ -133,13 +133,18 @@ def _own(table: Table) -> list[list[Any]]:
 
 
 def _by_lighting(table: Table) -> Table:
-    """Methods by lighting, from an evaluation's summary, with their mean."""
+    """Methods by lighting, from an evaluation's summary, with the mean of what has all.
+
+    A mean over other sets would say nothing beside those of the other methods.
+    """
     columns = table["columns"]
     shown = [c for c in columns if c in ("directional", "environment", "mixed", "Mean")]
-    rows = [
-        [_name(row[0]), *_rounded([row[columns.index(c)] for c in shown])]
-        for row in _own(table)
-    ]
+    rows = []
+    for row in _own(table):
+        found = {c: row[columns.index(c)] for c in shown}
+        if "Mean" in found and None in found.values():
+            found["Mean"] = None
+        rows.append([_name(row[0]), *_rounded(list(found.values()))])
     return {"columns": ["", *(c.lower() for c in shown)], "rows": rows}
 
 
@@ -229,6 +234,8 @@ def real(setting: Setting, line: str) -> Table:
 def maps(setting: Setting, line: str, **names: str) -> Table:
     """Sources and kinds of objects by what is measured, where it is.
 
+    "objects" are those of the figures: one number, or several in the order of figures.
+
     Args:
         setting: where to measure.
         line: the command.
@@ -239,7 +246,9 @@ def maps(setting: Setting, line: str, **names: str) -> Table:
         for kind, figures in kinds.items():
             cells = [figures.get(name) for name in names.values()]
             if any(cell is not None for cell in cells):
-                rows.append([f"{source}: {kind}", figures["objects"], *cells])
+                counts = [figures["objects"].get(name, 0) for name in names.values()]
+                objects = " / ".join(map(str, dict.fromkeys(counts)))
+                rows.append([f"{source}: {kind}", objects, *cells])
     columns = (name.replace("_", " ") for name in names)
     return {"columns": ["", "objects", *columns], "rows": rows}
 

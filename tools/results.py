@@ -181,6 +181,7 @@ def seconds_table() -> str:
         cells = ["CPU s", *(f"{x:.1f}" for x in seconds)]
         parts.append("\n" + markdown([title, *map(str, sizes)], [cells]))
     made = f"{found['processor']}, jax {found['jax']}, {found['date']}"
+    made = f"weights {found['hash'][:8]}, {made}"
     return f"{SECONDS}{''.join(parts)}\n`python tools/seconds.py`, {made}.\n"
 
 

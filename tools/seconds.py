@@ -27,6 +27,7 @@ import numpy as np
 
 from unips_jax.console import command
 from unips_jax.io.images import write_image
+from unips_jax.weights import weights_record
 
 # Images and their side; 74 thousand pixels of 640 x 640 are masked.
 SETS = ((4, 256), (10, 512), (32, 512))
@@ -170,6 +171,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     small = arguments.quick
     found = {
+        "hash": weights_record("tiny")["hash"],
         "date": datetime.date.today().isoformat(),
         "processor": main_processor(),
         "jax": jax.__version__,

@@ -199,6 +199,17 @@ def test_of_too_many_diffuse_maxima_some_are_used(monkeypatch):
     assert error_of(predicted, normals, mask) < 4
 
 
+@pytest.mark.parametrize("unit", [1e-7, 1e7])
+def test_the_unit_of_the_images_does_not_matter(unit):
+    normals, mask, albedo = bumpy(64, paint="one")
+    images = render(normals, albedo, lights_around(24), noise=0.01)
+    found, expected = (
+        uncalibrated.factorisation()(Observed(images * scale, mask))
+        for scale in (np.float32(unit), 1)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
 def test_flat_albedo_finds_the_paint():
     normals, mask, albedo = bumpy(64, paint="two")
     images = render(normals, albedo, lights_around(24))[..., 0]

@@ -1,6 +1,7 @@
 import pytest
 
 from unips_jax import provenance
+from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.variants import hashed
 from unips_jax.provenance import code_hash
 
@@ -79,3 +80,21 @@ def test_of_a_file_its_contents_count(tmp_path):
         place.write_text(content)
         keys.append(hashed({"weights": str(place), "clip": 0.5}))
     assert keys[0] == keys[1] != keys[2] and keys[0]["clip"] == 0.5
+
+
+def test_of_a_folder_what_its_user_put_there_counts(tmp_path, monkeypatch):
+    def key(value="."):
+        return hashed({"root": value})["root"]
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lights").mkdir()
+    (tmp_path / "lights" / "1.txt").write_text("1")
+    before = key()
+    assert key("") == ""  # no folder, not this one
+    Store(tmp_path / "runs" / "out").path("ball").write_text("{}")
+    for name in (".git", "__pycache__"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a").write_text("")
+    assert key() == before
+    (tmp_path / "lights" / "2.txt").write_text("2")
+    assert key() != before

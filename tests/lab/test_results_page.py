@@ -101,6 +101,7 @@ def test_tables_of_evaluations_are_read_by_name(readings, tmp_path, monkeypatch)
         ["unips tiny", 10, "this run", 1.234, 2.0, 3.0, 2.078, 9.0, "6 of 6"],
         ["unips fast", 10, "this run", 1.3, 2.1, 3.1, 2.17, 9.0, "6 of 6"],
         ["mpm:sign=oracle", 10, "this run", 4.0, 5.0, 6.0, 5.0, 9.0, "5 of 6"],
+        ["sbl", 10, "this run", 2.0, None, None, 2.0, 9.0, "2 of 6"],
         ["constant", 10, "this run", 7.0, 7.0, 7.0, 7.0, 7.0, "6 of 6"],
         ["UniPS", 32, "published", 17.0, 14.5, 13.8, 15.1, None, None],
     ]
@@ -136,6 +137,8 @@ def test_tables_of_evaluations_are_read_by_name(readings, tmp_path, monkeypatch)
     assert rows["UniPS"] == [1.23, 2.0, 3.0, 2.08, "6 of 6", 15.1]
     assert rows["mpm †"] == [4.0, 5.0, 6.0, 5.0, "5 of 6", 31.37]
     assert rows["constant normal"][-1] is None
+    # No mean where a lighting has no score: the others' are over all of them.
+    assert rows["sbl"] == [2.0, None, None, None, "2 of 6", None]
 
     fast = readings["fast"](setting, "")
     assert fast["columns"] == ["", *lit[:3], "mean", "sets"]
@@ -219,13 +222,26 @@ def test_a_command_is_run_once(readings, tmp_path, monkeypatch):
 def test_maps_are_read_by_source_and_kind(readings, monkeypatch):
     setting = readings["Setting"]("tiny", {})
     found = {
-        "scenes": {"all": {"objects": 2, "network": 3.0, "constant": 40.0}},
-        "set": {"all": {"objects": 1, "depth": 5.0}},
+        "scenes": {"all": {"objects": {"a": 9, "network": 2}, "network": 3.0}},
+        "set": {"all": {"objects": {"depth": 1}, "depth": 5.0}},
+        "dome": {"all": {"objects": {"constant": 4}, "constant": 40.0}},
     }
     monkeypatch.setattr(type(setting), "run", lambda *_: json.dumps(found))
     assert readings["maps"](setting, "", UniPS="network", a_floor="constant") == {
         "columns": ["", "objects", "UniPS", "a floor"],
-        "rows": [["scenes: all", 2, 3.0, 40.0]],
+        "rows": [
+            ["scenes: all", "2 / 0", 3.0, None],
+            ["dome: all", "0 / 4", None, 40.0],
+        ],
+    }
+
+
+def test_objects_are_those_that_have_the_figure():
+    means = runpy.run_path(str(ROOT / "tools" / "maps.py"))["_means"]
+    assert means([{"network": 2.0, "psnr": 3.0}, {"psnr": 4.0}]) == {
+        "objects": {"network": 1, "psnr": 2},
+        "network": 2.0,
+        "psnr": 3.5,
     }
 
 
@@ -258,6 +274,7 @@ def test_seconds_are_tables_of_their_file(tool, tmp_path, monkeypatch):
     assert table() == ""
     run = {"cpu": 20.04, "wall": 12.0, "gb": 1.26}
     found = {
+        "hash": "0123456789abcdef",
         "date": "2026-11-28",
         "processor": "a processor, 2 cores",
         "jax": "0.10.2",
@@ -268,4 +285,5 @@ def test_seconds_are_tables_of_their_file(tool, tmp_path, monkeypatch):
     lines = table().splitlines()
     assert "| `unips demo` | 20.0 | 12.0 | 9.0 | 12.0 | 1.3 |" in lines
     assert "| images of 128 x 128 | 2 | 4 |" in lines
-    assert lines[-1].endswith("a processor, 2 cores, jax 0.10.2, 2026-11-28.")
+    made = "weights 01234567, a processor, 2 cores, jax 0.10.2, 2026-11-28."
+    assert lines[-1].endswith(made)

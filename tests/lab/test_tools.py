@@ -1,10 +1,10 @@
 """The tools: converter, benchmark, Blender's setup, training of GCNet."""
 
 import dataclasses
+import json
 import runpy
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -14,10 +14,8 @@ from flax.traverse_util import flatten_dict
 from reference_arrays import made_up, official_arrays
 from small_networks import SMALL, SMALL_OURS, lively_network, lively_weights
 
-from unips_jax import estimate_normals
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
 from unips_jax.models.network import EncoderDecoder, param_shapes
-from unips_jax.models.released import from_official
 from unips_jax.models.self_calibrating import Encoder
 from unips_jax.weights import load_weights, random_weights, save_weights, weights_record
 
@@ -63,34 +61,6 @@ def test_refusals_are_one_line(convert, tmp_path, capsys):
     assert not output.exists()
 
 
-def test_the_papers_network_by_pytorch_is_the_same(monkeypatch):
-    pytest.importorskip("torch", reason="torch is not installed")
-    monkeypatch.syspath_prepend(str(TOOLS))
-    tool = runpy.run_path(str(TOOLS / "benchmark.py"))
-    official = from_official(official_arrays())  # lively ones, not as they begin
-    config = dataclasses.replace(official.config, canonical_size=64)
-    network = dataclasses.replace(official, config=config)
-    images, mask = tool["disc"](3, 40)
-    normals = tool["torch_estimate"](network, images, mask)()
-    ours = estimate_normals(network, images, mask, frame="image")[mask]
-    np.testing.assert_allclose(normals, ours, atol=2e-5)
-
-
-def test_torch_without_torch_is_one_line(monkeypatch, capsys):
-    monkeypatch.syspath_prepend(str(TOOLS))
-    monkeypatch.setitem(sys.modules, "torch", None)
-    main = runpy.run_path(str(TOOLS / "benchmark.py"))["main"]
-    assert main(["--torch", "--train"]) == 2
-    network = SimpleNamespace(config=SimpleNamespace(canonical_size=64))
-    monkeypatch.setitem(
-        main.__wrapped__.__globals__, "random_weights", lambda config: network
-    )
-    assert main(["--torch", "--size", "32", "--images", "1"]) == 2
-    errors = capsys.readouterr().err.splitlines()
-    assert "leave --train and --config out" in errors[0]
-    assert errors[1].endswith("--torch: torch is not installed: pip install torch")
-
-
 @pytest.mark.parametrize("network", ["gcnet", "ps_fcn", "lcnet"])
 def test_converted_weights_are_the_method_that_is_told(
     network, tmp_path, monkeypatch, capsys
@@ -106,55 +76,6 @@ def test_converted_weights_are_the_method_that_is_told(
     told = capsys.readouterr().out.strip().partition("--method ")[2]
     method, _ = load_variants([told], UnipsOptions(()))
     assert method.label.startswith(f"{network.replace('_', '-')}:weights=converted")
-
-
-def test_benchmark_refuses_what_it_would_ignore(capsys):
-    benchmark = runpy.run_path(str(TOOLS / "benchmark.py"))["main"]
-    tiny = str(TOOLS.parent / "configs" / "tiny.py")
-    assert benchmark(["--train", "--config", tiny, "--size", "64"]) == 2
-    assert benchmark(["--objects", "2"]) == 2
-    errors = capsys.readouterr().err.splitlines()
-    assert len(errors) == 2
-    assert "--size 64: with --train" in errors[0]
-    assert "--objects 2: expected --train" in errors[1]
-
-
-@pytest.mark.parametrize(
-    "config",
-    [
-        SMALL,
-        dataclasses.replace(SMALL, attention="released"),
-        dataclasses.replace(SMALL_OURS, observation_dim=5),
-        dataclasses.replace(SMALL, context_dim=SMALL.hidden_dim - 3),
-        dataclasses.replace(SMALL, aggregation="max"),
-        dataclasses.replace(
-            SMALL, aggregation_layers=0, context_dim=SMALL.hidden_dim - 3
-        ),
-    ],
-)
-def test_benchmark_counts_every_layer_of_the_decoder(config):
-    count = runpy.run_path(str(TOOLS / "benchmark.py"))["decoder_operations"]
-    shapes = jax.eval_shape(lambda: random_weights(config)).params["decoder"]
-    kernels = {
-        name: kernel.size
-        for name, kernel in flatten_dict(shapes, sep=".").items()
-        if name.endswith("kernel")
-    }
-    pooling = ("aggregation.pooling." + name for name in ("query", "out", "mlp"))
-    once = ("prediction", *pooling)  # per pixel
-    each = [size for name, size in kernels.items() if not name.startswith(once)]
-    assert count(config) == 2 * sum(each)
-
-
-@pytest.mark.parametrize(("platform", "unit"), [("darwin", 1e9), ("freebsd", 1e6)])
-def test_benchmark_knows_the_unit_of_memory(platform, unit, monkeypatch, tmp_path):
-    peak = runpy.run_path(str(TOOLS / "benchmark.py"))["peak_memory_gb"]
-    names = peak.__globals__
-    monkeypatch.setitem(names, "Path", lambda _: tmp_path / "no-proc")
-    usage = SimpleNamespace(ru_maxrss=int(3 * unit))
-    monkeypatch.setattr(names["resource"], "getrusage", lambda _: usage)
-    monkeypatch.setattr("sys.platform", platform)
-    assert peak() == 3
 
 
 @pytest.mark.parametrize("better", [True, False])
@@ -380,6 +301,15 @@ def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "without light_tokens" in error
     assert not output.exists()
+
+
+def test_seconds_say_of_which_weights(tmp_path, monkeypatch):
+    main = runpy.run_path(str(TOOLS / "seconds.py"))["main"]
+    for name in ("commands", "growth"):
+        monkeypatch.setitem(main.__wrapped__.__globals__, name, lambda *_: {})
+    assert main(["-o", str(tmp_path / "seconds.json")]) == 0
+    found = json.loads((tmp_path / "seconds.json").read_text())
+    assert found["hash"] == weights_record("tiny")["hash"]
 
 
 def test_seconds_of_a_process_are_its_own(tmp_path):

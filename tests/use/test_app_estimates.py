@@ -1,5 +1,7 @@
 """The application's estimates: one after the other, and none is lost."""
 
+import asyncio
+
 import pytest
 
 pytest.importorskip("starlette", reason="starlette is not installed")
@@ -8,6 +10,9 @@ pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 from app_client import Pretended, drawn
 
 from unips_jax.app import work
+from unips_jax.app.desk import Desk
+from unips_jax.app.limits import Limits
+from unips_jax.app.objects import Objects
 
 
 def test_estimates_wait_run_one_by_one_and_are_run_again(opening):
@@ -68,6 +73,37 @@ def test_work_goes_on_with_the_next_server(opening):
     client = opening()
     shown = client.state(key, "done")
     assert shown["name"] == "cat" and len(shown["results"]) == 2
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_what_runs_waits_when_the_server_ends(tmp_path, at_once):
+    (tmp_path / ".app").mkdir()
+    objects = Objects(tmp_path)
+    for number in range(3):
+        item = objects.begin(str(number))
+        item.state, item.asked, item.target = "waiting", 1.0 + number, str(number)
+        item.save()
+    begun = []
+
+    async def call(function, chosen, target, *rest, **more):
+        begun.append(target.name)
+        if target.name == "1":
+            await asyncio.Event().wait()
+        return []
+
+    async def serve():
+        desk = Desk(objects, Limits(), "tiny")
+        desk._estimating.call = call
+        desk.start()
+        while len(begun) < 2:
+            await asyncio.sleep(0)
+        if not at_once:  # after Ctrl-C twice all tasks are cancelled, without this
+            await desk.close()
+
+    asyncio.run(serve())
+    kept = sorted(Objects(tmp_path).all(), key=lambda item: item.asked)
+    assert [item.state for item in kept] == ["done", "waiting", "waiting"]
+    assert begun == ["0", "1"]
 
 
 def test_nothing_is_estimated_before_all_is_there(opening):

@@ -1,5 +1,6 @@
 """Files that the application gets: photographs, masks, bounds."""
 
+import dataclasses
 import io
 import threading
 from pathlib import Path
@@ -12,6 +13,7 @@ import tifffile
 pytest.importorskip("starlette", reason="starlette is not installed")
 pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 
+import app_client
 from app_client import Pretended, drawn, photographs
 
 from unips_jax.app import work
@@ -64,6 +66,20 @@ def test_photographs_are_left_out_and_taken_again(opening):
     assert of_state(shown, "aside") == {"1.png": "you"}
     client.post(f"/objects/{key}/use", file="1.png", use=True)
     assert len(client.ready(key)["found"]["names"]) == 3
+
+
+def test_photographs_that_are_too_many_together_can_be_left_out(opening, monkeypatch):
+    limits = dataclasses.replace(app_client.LIMITS, pixels=64 * 48)
+    monkeypatch.setattr(app_client, "LIMITS", limits)
+    client = opening()
+    key = client.post("/objects")["id"]
+    for number in range(11):  # ten times the pixels of a photograph are allowed
+        client.put(key, f"{number}.png", photographs(1)["0.png"])
+    shown = client.ready(key)
+    assert shown["problem"] == "too_much_together" and shown["found"] is None
+    client.post(f"/objects/{key}/use", file="3.png", use=False)
+    shown = client.ready(key)
+    assert shown["problem"] == "" and len(shown["found"]["names"]) == 10
 
 
 def test_a_second_mask_is_set_aside_and_can_be_chosen(opening):

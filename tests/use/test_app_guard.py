@@ -205,6 +205,7 @@ def test_both_languages_say_all_of_it():
         text = path.read_text()
         codes |= set(re.findall(r'Refused\(\s*\d+, "(\w+)"', text))
         codes |= set(re.findall(r'"(disk_full|not_stored)"', text))
+    codes.add(answers.TOO_MUCH)
     assert {f"problem_{code}" for code in codes} <= english.keys()
     assert {f"why_{why}" for _, why in answers.PLAIN} <= english.keys()
 

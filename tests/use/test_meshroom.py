@@ -215,6 +215,17 @@ def test_masks_of_the_mask_folder_by_any_name(node, tmp_path):
     (masks / "scan[1].png").touch()
     found = node._mask("7", [photograph, tmp_path / "b.png"], str(masks))
     assert found == masks / "scan[1].png"
+    for name in ("bust.1.png", "bust.txt", "bust.PNG"):
+        (masks / name).touch()
+    assert node._mask("bust", [photograph], str(masks)) == masks / "bust.PNG"
+    assert node._mask("bust.1", [photograph], str(masks)) == masks / "bust.1.png"
+
+
+def test_folders_of_one_pose_are_named(node, tmp_path):
+    for name in ("rock", "rock.data"):
+        write_image(tmp_path / name / "0.png", np.zeros((4, 4, 3), np.uint8))
+    with pytest.raises(RuntimeError, match=r"pose rock, got rock and rock\.data; ren"):
+        node.find_poses(tmp_path)
 
 
 def test_failures_stop_or_are_skipped(node, poses):

@@ -68,6 +68,12 @@ def test_what_is_packed_comes_back():
     assert error.max() <= 0.51 * reach / 65534
 
 
+@pytest.mark.parametrize("shape", [(4000, 60), (60, 4000)])
+def test_the_scale_of_long_objects_is_that_of_their_length(shape):
+    view = view_of(np.ones(shape, bool), 1024)
+    assert max(view.height, view.width) * view.scale == 4000
+
+
 @pytest.mark.parametrize("focal", [None, 150.0])
 def test_half_the_size_is_the_same_surface(focal):
     """Points of the page's surface lie on the hemisphere, whatever the scale."""

@@ -27,6 +27,12 @@ PLAIN = (  # what errors begin with or name, and the page's words for it
     ("expected light on the object", "black"),
     ("expected to be done within", "too_slow"),
 )
+TOO_MUCH = "too_much_together"
+_MUCH = (  # what errors of all photographs together name
+    "pixels in all photographs",
+    "out of memory",
+    "fewer or smaller photographs",
+)
 
 
 class Refused(Exception):
@@ -147,6 +153,11 @@ def reason_of(text: str, other: str = "unreadable") -> tuple[str, str]:
     """The page's word for why a file is set aside, and the detail where it has none."""
     plain = next((why for part, why in PLAIN if part in text), None)
     return (plain, "") if plain else (other, text)
+
+
+def problem_of(text: str) -> str:
+    """The page's word for what is wrong with all photographs, or the text itself."""
+    return TOO_MUCH if any(part in text for part in _MUCH) else text
 
 
 def without_folder(text: str, path: PurePath) -> str:

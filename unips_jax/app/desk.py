@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from unips_jax.app import exports, work
-from unips_jax.app.answers import reason_of, without_folder
+from unips_jax.app.answers import problem_of, reason_of, without_folder
 from unips_jax.app.limits import Limits
 from unips_jax.app.objects import Object, Objects, Photograph, clean
 from unips_jax.app.sorting import chosen, sort_out, take
@@ -60,7 +60,6 @@ class Desk:
         self._estimates: asyncio.Task | None = None
         self._current: asyncio.Task | None = None
         self._warmed: set[asyncio.Task] = set()
-        self._closing = False
 
     def start(self) -> None:
         """Goes on with what waits."""
@@ -157,7 +156,8 @@ class Desk:
         except InputError as error:
             if item.version == version:
                 item.found, item.found_version = None, version
-                item.problem = without_folder(str(error), item.inbox)
+                text = without_folder(str(error), item.inbox)
+                item.problem = problem_of(text)
                 item.save()
             return
         if item.version != version:
@@ -222,14 +222,20 @@ class Desk:
             item.state = "cancelled"
             item.save()
         elif item.state == "running" and self._current is not None:
+            item.state = "cancelled"
             self._current.cancel()
 
     async def _estimate_all(self) -> None:
-        while self.queue and not self._closing:
+        this = asyncio.current_task()
+        assert this is not None
+        while self.queue:
             item = self.queue[0]
             self._current = asyncio.create_task(self._estimate(item))
-            with contextlib.suppress(asyncio.CancelledError):
+            try:
                 await self._current
+            except asyncio.CancelledError:
+                if this.cancelling():  # the server ends, not this estimate alone
+                    raise
             with contextlib.suppress(ValueError):
                 self.queue.remove(item)
 
@@ -255,7 +261,8 @@ class Desk:
             )
             item.state = "done"
         except asyncio.CancelledError:
-            item.state = "waiting" if self._closing else "cancelled"
+            if item.state == "running":  # nobody cancelled it: the server ends
+                item.state = "waiting"
             raise
         except InputError as error:
             item.state = "failed"
@@ -285,7 +292,6 @@ class Desk:
 
     async def close(self) -> None:
         """Ends all; what was not done goes on with the next server."""
-        self._closing = True
         tasks = [*self._readings.values(), self._current, self._estimates]
         for task in (*tasks, *self._warmed):
             if task is not None:

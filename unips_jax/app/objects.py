@@ -58,7 +58,8 @@ class Object:
     found: dict[str, Any] | None = None
     version: int = 0  # changes with the photographs; `found_version` is that of `found`
     found_version: int = -1
-    problem: str = ""  # why the photographs can't be used together, one line
+    # why the photographs can't be used together: a code of `strings.json`, or one line
+    problem: str = ""
     # see `work.Choices`
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
     target: str = ""  # the results' folder

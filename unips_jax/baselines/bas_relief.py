@@ -87,7 +87,9 @@ def by_diffuse_maxima(
     index, rows, columns = diffuse_maxima(images, mask)
     b, light = field[rows, columns], lights[index]
     flat = light[:, 0] ** 2 + light[:, 1] ** 2
-    keep = np.flatnonzero((np.abs(b[:, 2]) > 1e-6) & (flat > 1e-12))
+    # Lights have the images' unit, whatever it is.
+    sideways = flat > 1e-12 * flat.max(initial=0)
+    keep = np.flatnonzero((np.abs(b[:, 2]) > 1e-6) & sideways)
     keep = keep[:: max(1, -(-len(keep) // _MAXIMA))]
     b, light, flat = b[keep], light[keep], flat[keep]
     points, lams = [], []

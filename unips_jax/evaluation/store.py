@@ -21,11 +21,18 @@ from unips_jax.io.door import clear_parts, write_whole
 from unips_jax.io.images import encode_image
 from unips_jax.io.normals import encode_normals, read_normals
 
+_FOLDERS = ("results", ".locks")
+
 
 def result_key(fields: Mapping[str, Any]) -> str:
     """A short hash of everything, JSON values, that a result depends on."""
     text = json.dumps(fields, sort_keys=True, default=repr)
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def is_work_folder(folder: Path) -> bool:
+    """Whether a `Store` keeps results there."""
+    return all((folder / name).is_dir() for name in _FOLDERS)
 
 
 class Store:
@@ -34,7 +41,7 @@ class Store:
     def __init__(self, root: str | os.PathLike[str]):
         self.root = Path(root)
         try:
-            for name in ("results", ".locks"):
+            for name in _FOLDERS:
                 (self.root / name).mkdir(parents=True, exist_ok=True)
                 clear_parts(self.root / name)
         except OSError as error:

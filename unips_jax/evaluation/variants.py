@@ -5,7 +5,7 @@ import hashlib
 import inspect
 import re
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,6 +13,7 @@ from typeguard import TypeCheckError, check_type
 
 from unips_jax.baselines.method import Method
 from unips_jax.errors import InputError
+from unips_jax.evaluation.store import is_work_folder
 
 if TYPE_CHECKING:
     from unips_jax.evaluation.normal_files import NormalFiles
@@ -106,7 +107,8 @@ def is_file(value: Any) -> bool:
 def hashed(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options as they stand in result keys: a file stands for its contents.
 
-    A folder stands for its files' names, sizes and dates.
+    A folder stands for its files' names, sizes and dates, without hidden folders,
+    compiled Python and work folders of evaluations, which change while it is used.
     """
     return {key: _contents(value) for key, value in options.items()}
 
@@ -114,15 +116,25 @@ def hashed(options: Mapping[str, Any]) -> dict[str, Any]:
 def _contents(value: Any) -> Any:
     if is_file(value):
         return bytes_hash(Path(value).read_bytes())
-    if not (isinstance(value, str) and Path(value).is_dir()):
+    if not (isinstance(value, str) and value and Path(value).is_dir()):
         return value
     lines = []
-    for path in sorted(Path(value).rglob("*")):
+    for path in _files(Path(value)):
+        facts = path.stat()
+        name = path.relative_to(value).as_posix()
+        lines.append(f"{name} {facts.st_size} {facts.st_mtime_ns}\n")
+    return bytes_hash("".join(sorted(lines)).encode(errors="surrogateescape"))
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for path in folder.iterdir():
+        hidden = path.name.startswith(".") or path.name == "__pycache__"
         if path.is_file():
-            facts = path.stat()
-            name = path.relative_to(value).as_posix()
-            lines.append(f"{name} {facts.st_size} {facts.st_mtime_ns}\n")
-    return bytes_hash("".join(lines).encode(errors="surrogateescape"))
+            yield path
+        elif path.is_dir() and not (
+            hidden or path.is_symlink() or is_work_folder(path)
+        ):
+            yield from _files(path)
 
 
 def bytes_hash(data: bytes) -> str:

@@ -1,11 +1,11 @@
 """Radiance of a geometry's pixels under key lights and an environment.
 
 Every image is lit by one key light (directional, near or the sun), whose shadow rays
-are marched for each pixel, and by an environment, whose diffuse part is a matrix
-product of the tabulated visibility times cosine with the radiance in the table's
-directions; its glossy part is the radiance around the mirror direction, already
-blurred, times the visibility there. Where the object hides its surroundings, its own
-mean radiance takes their place: light that bounces about, roughly.
+are marched for each pixel, and by an environment. Its diffuse part is the irradiance
+from 256 directions, times the share of it that the few directions in which rays are
+traced leave visible; its glossy part is the radiance around the mirror direction,
+already blurred, times the visibility there. Where the object hides its surroundings,
+its own mean radiance takes their place: light that bounces about, roughly.
 """
 
 import math

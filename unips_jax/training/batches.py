@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.typing import ArrayLike
 
 from unips_jax.models.config import SelfCalibratingConfig
 from unips_jax.scenes import load_meshes, render_batch
@@ -60,6 +61,29 @@ def make_batches(
             yield jax.tree.map(place, next(folders))
 
 
+def scene_batch(
+    keys: jax.Array, meshes: ArrayLike | None, *, config: Config, num_images: int
+) -> Batch:
+    """A scene for each key, with what the network has use for; see `make_batches`."""
+    model = config.model
+    kinds = isinstance(model, SelfCalibratingConfig) and model.light_tokens
+    incident = kinds or config.data.known_lights_rate > 0
+    scene = render_batch(
+        keys,
+        size=config.data.image_size,
+        num_images=num_images,
+        config=config.scenes,
+        meshes=meshes,
+        incident=incident,
+    )
+    batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
+    if model.guesses:  # others would be compiled for them in vain
+        batch["lights"] = scene.light_means
+    if incident:
+        batch["incident"] = scene.incident
+    return batch
+
+
 def _scene_renderer(
     config: Config,
     key: jax.Array,
@@ -67,28 +91,15 @@ def _scene_renderer(
     compiling: Callable[[str], AbstractContextManager[None]],
 ) -> Callable[[int], Batch]:
     data, sharding = config.data, batch_sharding(mesh)
-    model = config.model
-    kinds = isinstance(model, SelfCalibratingConfig) and model.light_tokens
-    incident = kinds or data.known_lights_rate > 0
-
     # Scenes always have the largest number of images: one compilation serves all.
+    make = functools.partial(
+        scene_batch, config=config, num_images=max(data.num_images)
+    )
+
     @functools.partial(jax.jit, out_shardings=sharding)
     def render(step: jax.Array, meshes: jax.Array | None) -> Batch:
         keys = jax.random.split(jax.random.fold_in(key, step), data.batch_size)
-        scene = render_batch(
-            keys,
-            size=data.image_size,
-            num_images=max(data.num_images),
-            config=config.scenes,
-            meshes=meshes,
-            incident=incident,
-        )
-        batch = {"images": scene.images, "mask": scene.mask, "normals": scene.normals}
-        if model.guesses:  # others would be compiled for them in vain
-            batch["lights"] = scene.light_means
-        if incident:
-            batch["incident"] = scene.incident
-        return batch
+        return make(keys, meshes)
 
     @functools.partial(jax.jit, static_argnums=1, out_shardings=sharding)
     def take(sets: Batch, count: int) -> Batch:

@@ -38,7 +38,11 @@ class View:
     @property
     def scale(self) -> float:
         """Pixels of the result per pixel of the page."""
-        return (self.columns.stop - self.columns.start) / self.width
+        rows, columns = self.rows, self.columns
+        # Of the longer side, which rounding changes least.
+        return max(rows.stop - rows.start, columns.stop - columns.start) / max(
+            self.height, self.width
+        )
 
     def shrink(self, values: np.ndarray) -> np.ndarray:
         """The part's values, `[height, width, ...]`, float32: means over areas."""

@@ -3,7 +3,7 @@
 import { request } from "./api.js";
 import { byId, el, fill, message } from "./dom.js";
 import * as mask from "./mask.js";
-import { current, some, t } from "./text.js";
+import { current, knows, some, t } from "./text.js";
 import * as uploads from "./uploads.js";
 
 let shown = null; // the object as the server last described it
@@ -131,7 +131,10 @@ function showStatus(sending) {
   } else if (shown.found) {
     const { names, width, height } = shown.found;
     status.textContent = t("status_ready", { n: names.length, width, height });
-  } else status.textContent = shown.problem || t("missing_usable");
+  } else {
+    const word = `problem_${shown.problem}`;
+    status.textContent = knows(word) ? t(word) : shown.problem || t("missing_usable");
+  }
 }
 
 function showPhotographs() {

@@ -4,7 +4,6 @@ Needs nothing but the standard library in Meshroom's Python; what computes is th
 command, in an environment of its own.
 """
 
-import glob
 import json
 import logging
 import os
@@ -177,14 +176,20 @@ def find_poses(source: Path) -> dict[str, Path | list[Path]]:
         source: an SfMData file, or a folder of folders of photographs.
 
     Raises:
-        RuntimeError: if there are none.
+        RuntimeError: if there are none, or two of one name.
     """
     folders: dict[str, Path] = {}
     views: dict[str, list[Path]] = {}
     if source.is_dir():
         for folder in sorted(source.iterdir()):
             if folder.is_dir() and not folder.name.startswith(".") and _images(folder):
-                folders[folder.name.removesuffix(".data")] = folder
+                pose = folder.name.removesuffix(".data")
+                if pose in folders:
+                    raise RuntimeError(
+                        f"{source}: expected one folder for the pose {pose}, got "
+                        f"{folders[pose].name} and {folder.name}; rename one"
+                    )
+                folders[pose] = folder
     elif source.is_file():
         try:
             for view in json.loads(source.read_bytes())["views"]:
@@ -291,9 +296,13 @@ def _mask(pose: str, given: Path | list[Path], folder: str) -> Path | None:
     if folder:
         if not Path(folder).is_dir():
             raise RuntimeError(f"Mask Folder: expected a folder, got {folder}")
+        masks = [
+            p for p in sorted(Path(folder).iterdir()) if p.suffix.lower() in IMAGES
+        ]
         for stem in (pose, *(path.stem for path in photographs)):
-            for path in sorted(Path(folder).glob(f"{glob.escape(stem)}.*")):
-                if path.suffix.lower() in IMAGES:
+            for path in masks:
+                # Dots stand in names, too: `bust.1.png` is no mask of `bust`.
+                if os.path.normcase(path.stem) == os.path.normcase(stem):
                     return path
     if isinstance(given, Path):
         return None
