@@ -47,6 +47,16 @@ def restored(workdir):
     return step
 
 
+def test_parameters_of_another_version_are_one_line(run):
+    other = {name: SHAPES["a"] for name in ("a", "b", "step")}
+    with (
+        Checkpoints(run, CONFIG) as checkpoints,
+        pytest.raises(InputError, match="the version that wrote them, or choose") as e,
+    ):
+        checkpoints.restore(other)
+    assert "\n" not in str(e.value)
+
+
 def test_the_newest_are_kept(tmp_path):
     kept = dataclasses.replace(CONFIG.train, keep=2)
     config = dataclasses.replace(CONFIG, train=kept)

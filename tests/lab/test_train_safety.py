@@ -19,6 +19,7 @@ from small_networks import SMALL_OURS, lively_weights
 from unips_jax.errors import InputError
 from unips_jax.models.config_json import to_json
 from unips_jax.models.network import UniversalNetwork
+from unips_jax.provenance import code_hash
 from unips_jax.train import load_config, main
 from unips_jax.training import loop
 from unips_jax.training.checkpoints import changed_fields
@@ -265,7 +266,8 @@ def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
             record = loop._validate_and_keep_best(config, state, record, tmp_path, log)
 
     run(CONFIG, (4, np.nan), (5, 30.0), (6, 40.0), (7, 20.0), (8, 20.0), (9, np.nan))
-    on = [CONFIG.train.validation_scenes, CONFIG.train.validation_images]
+    counts = [CONFIG.train.validation_scenes, CONFIG.train.validation_images]
+    on = [*counts, code_hash("scenes.render")]
     assert record == {"best_mae_deg": 20, "best_step": 7, "best_on": on}
     assert [(name, step, scores["mae"]) for name, step, scores in written] == [
         ("best.safetensors", 5, 30),
@@ -274,6 +276,9 @@ def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
     fewer = dataclasses.replace(CONFIG.train, validation_images=1)
     run(dataclasses.replace(CONFIG, train=fewer), (10, 35.0), (11, 36.0))
     assert (record["best_mae_deg"], record["best_step"]) == (35, 10)
+    record["best_on"] = [CONFIG.train.validation_scenes, 1]  # scenes of another code
+    run(dataclasses.replace(CONFIG, train=fewer), (12, 38.0))
+    assert (record["best_mae_deg"], record["best_step"]) == (38, 12)
 
 
 def test_weights_of_a_run_whose_checkpoints_are_gone_stay(tmp_path):

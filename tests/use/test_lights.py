@@ -17,8 +17,9 @@ from unips_jax.estimation.extras import write_confidence
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.io.color import srgb_encode
-from unips_jax.io.images import read_image, read_linear
+from unips_jax.io.images import read_image, read_image_file, read_linear
 from unips_jax.io.photographs import read_photographs, select
+from unips_jax.io.results import RECORD, transfer_of
 from unips_jax.lighting import ptm
 from unips_jax.lighting.harmonics import COSINE_LOBE, harmonics
 from unips_jax.lighting.light_files import base_color, write_base_color, write_lights
@@ -148,6 +149,9 @@ def test_base_colour_without_highlights_and_seams(tmp_path, monkeypatch):
         np.testing.assert_allclose(found, whole, atol=1e-4)
         cv2.imwrite(str(path), picture)
     assert abs(read_linear(path) - whole).max() > 0.1
+    assert transfer_of(read_image_file(path)) == "linear"
+    (tmp_path / RECORD).write_text("{}")
+    assert transfer_of(read_image_file(path)) == "srgb"
 
 
 def test_lights_on_disk(tmp_path):

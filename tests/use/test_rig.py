@@ -11,6 +11,7 @@ from plain_objects import hemisphere
 from unips_jax import estimate_lights
 from unips_jax.errors import InputError
 from unips_jax.io.images import read_image
+from unips_jax.lighting.known import read_known_lights
 from unips_jax.lighting.light_files import base_color, write_lights
 from unips_jax.lighting.rig import read_rig
 
@@ -51,6 +52,19 @@ def test_lights_come_back_as_they_were_written(earlier):
     longer = folder.parent / "longer.lp"
     longer.write_text("a.png 0 3 4\nb.png 0.1 0 0\n")
     np.testing.assert_allclose(read_rig(longer), [[0, 0.6, 0.8], [1, 0, 0]])
+
+
+def test_lights_in_the_order_of_letters_are_photographs_in_that_of_numbers(tmp_path):
+    """As version 0.3.0 wrote them: 1, 10, 2."""
+    listed = tmp_path / "coin.lp"
+    listed.write_text("coin_1.jpg 0 0 1\ncoin_10.jpg 1 0 0\ncoin_2.jpg 0 1 0\n")
+    names = ["seal_1.jpg", "seal_2.jpg", "seal_10.jpg"]
+    expected = [[0, 0, 1], [0, 1, 0], [1, 0, 0]]
+    np.testing.assert_allclose(read_rig(listed, names), expected)
+    np.testing.assert_allclose(read_known_lights([str(listed)], names), expected)
+    # What is not in order by letters is a list of its own order.
+    listed.write_text("b.jpg 0 0 1\na10.jpg 1 0 0\na2.jpg 0 1 0\n")
+    np.testing.assert_allclose(read_rig(listed, names)[1], [1, 0, 0])
 
 
 def test_another_object_has_its_colours_by_them(earlier):

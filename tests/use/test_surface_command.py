@@ -170,6 +170,10 @@ def test_estimate_writes_depth_and_mesh(tmp_path):
     (out / "view.html").write_text(html)
     assert estimate([*arguments, "--focal", "90", "--view"]) == 0
     assert notes_in(out / "view.html") == notes
+    # A page of version 0.2.0 has no place for notes: it is of the normals before.
+    (out / "view.html").write_text("no notes")
+    assert estimate([*arguments, "--focal", "95"]) == 0
+    assert not (out / "view.html").exists()
     # The results are no photographs, should they be read as a folder of them.
     (out / "photo.png").write_bytes((folder / "0.png").read_bytes())
     assert select(out).names == ("photo.png",)

@@ -46,7 +46,7 @@ async function take(list, mask = null, again = false) {
   const others = plain.length ? plain : rest;
   const leftOut = rest.filter((file) => !others.includes(file)).map((file) => file.name);
   try {
-    if (masks.length > 1) throw new Refusal("masks", { name: masks[0].name, other: masks[1].name });
+    if (masks.length > 1 && !again) throw new Refusal("masks", { name: masks[0].name, other: masks[1].name });
     if (rest.length && !plain.length && state.photographs.length) {
       throw new Refusal("map", { name: rest[0].name });
     }
@@ -58,7 +58,7 @@ async function take(list, mask = null, again = false) {
     if (read.length) requireAlike(read, again || $("transfer").value !== "auto");
     const photographs = read.length ? read : state.photographs;
     if (!photographs.length || !files.length) throw new Refusal("no_photographs");
-    const maskFile = masks.length ? await readFile(masks[0]) : null;
+    const maskFile = masks.length ? await readFile(masks.at(-1)) : null;
     if (maskFile) requireMaskFits(maskFile, photographs[0]);
     if (turn < shown) return false; // later ones were read sooner
     if (read.length) {
@@ -372,9 +372,10 @@ async function takeUp() {
     $("transfer").value = running.options.transfer;
     estimate(running.normals);
   } else if (result) {
-    $("side").value = result.options.side;
-    $("transfer").value = result.options.transfer;
-    const { images } = toCompute(leaveOut(state.mask.slice(), state.photographs, state.brightest));
+    const { side, transfer } = result.options ?? {}; // kept by version 0.3.0: none
+    if (side) $("side").value = side;
+    if (transfer) $("transfer").value = transfer;
+    const { images } = result.images ? result : toCompute(leaveOut(state.mask.slice(), state.photographs, state.brightest));
     state.result = { ...result, images };
     showNormals(result.normals, result.mask, result.width, result.height, 1);
     $("download").hidden = false;

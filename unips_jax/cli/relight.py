@@ -24,11 +24,19 @@ from unips_jax.console import command, parse, progress, start_jax
 from unips_jax.errors import InputError
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.door import write_json
-from unips_jax.io.images import read_linear, require_size, write_exr, write_image
+from unips_jax.io.images import (
+    linear_of,
+    read_image_file,
+    read_linear,
+    require_finite,
+    require_size,
+    write_exr,
+    write_image,
+)
 from unips_jax.io.normal_maps import print_examined, read_normal_map
 from unips_jax.io.normals import NormalMap
 from unips_jax.io.record import print_line
-from unips_jax.io.results import appearing_at_once, check_target
+from unips_jax.io.results import appearing_at_once, check_target, transfer_of
 from unips_jax.pictures.animation import AnimationFormat, write_animation
 
 RECORD = "relight.json"
@@ -197,7 +205,9 @@ def _base_color(options: Options, size: tuple[int, int]) -> tuple[np.ndarray, st
         path = options.result / "base_color.exr"
         if not path.is_file():
             return np.array(_GREY, np.float32), "grey, none given"
-    color = read_linear(path)
+    file = read_image_file(path)
+    require_finite(path, file.pixels)
+    color = linear_of(file, transfer_of(file))
     require_size(path, color.shape[:2], size)
     return np.clip(color, 0, 1), str(path)
 

@@ -34,6 +34,7 @@ from unips_jax.io.results import (
     check_target,
     normal_map_of,
     results_of,
+    transfer_of,
 )
 from unips_jax.surface.archive import archive
 from unips_jax.surface.depth_files import read_depth
@@ -126,9 +127,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     colors = None
     if photograph is not None:
         require_finite(photograph.path, photograph.pixels)
-        encoding = photograph.encoding
-        pixels = encoding.values(photograph.pixels)
-        colors = photograph_colors(pixels, encoding.transfer)
+        pixels = photograph.encoding.values(photograph.pixels)
+        colors = photograph_colors(pixels, transfer_of(photograph))
     names = (field.name for field in dataclasses.fields(SurfaceOptions))
     given = {name: getattr(options, name) for name in names} | {"focal": focal}
     start_jax()

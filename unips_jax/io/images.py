@@ -21,7 +21,7 @@ import OpenEXR
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
-from unips_jax.io.color import Encoding, as_linear
+from unips_jax.io.color import Encoding, Transfer, as_linear
 from unips_jax.io.door import write_whole
 from unips_jax.io.formats import Damaged, Encoded, NotRead, decode, open_encoded
 
@@ -131,7 +131,12 @@ def read_linear(path: Path) -> np.ndarray:
     """An image file's linear light, all finite: `[H, W, 3]`."""
     file = read_image_file(path)
     require_finite(path, file.pixels)
-    linear = as_linear(file.encoding.values(file.pixels), file.encoding.transfer)
+    return linear_of(file, file.encoding.transfer)
+
+
+def linear_of(file: ImageFile, transfer: Transfer) -> np.ndarray:
+    """A file's linear light, `[H, W, 3]`, whose values encode it so."""
+    linear = as_linear(file.encoding.values(file.pixels), transfer)
     return np.broadcast_to(linear, (*linear.shape[:2], 3))
 
 

@@ -3,6 +3,7 @@
 import importlib.util
 import re
 import unicodedata
+from collections.abc import Sequence
 from pathlib import Path
 
 RAW_SUFFIXES = frozenset(
@@ -37,6 +38,17 @@ def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
     """Sorts `2.png` before `10.png`, as people and file managers do."""
     parts = re.split(r"([0-9]+)", name.lower())
     return tuple(int(p) if i % 2 else p for i, p in enumerate(parts)), name
+
+
+def rows_in_order(names: Sequence[str]) -> list[int]:
+    """Where names stand in natural order; as they are, unless by letters (10 before 2).
+
+    So were photographs in order in results of version 0.3.0.
+    """
+    rows = list(range(len(names)))
+    if list(names) == sorted(names):
+        rows.sort(key=lambda row: natural_key(names[row]))
+    return rows
 
 
 def in_order(folder: Path) -> list[Path]:

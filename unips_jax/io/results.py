@@ -20,6 +20,7 @@ from typing import Any
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
+from unips_jax.io.color import Transfer
 from unips_jax.io.door import (
     NotWritten,
     clear_parts,
@@ -28,6 +29,7 @@ from unips_jax.io.door import (
     write_json,
     writing,
 )
+from unips_jax.io.images import ImageFile
 from unips_jax.io.record_schema import file_of, load_record
 
 RECORD = "normals.json"
@@ -43,7 +45,8 @@ _MASK, _VIEW = "mask.png", "view.html"
 # What file managers leave in folders that look empty in them.
 UNSEEN = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
 _EDITABLE = frozenset([_VIEW])  # readers save their notes into it
-_WITHOUT_NOTES = b'<script type="application/json" id="notes">{}</script>'
+_NOTES = b'<script type="application/json" id="notes">'
+_WITHOUT_NOTES = _NOTES + b"{}</script>"
 # Names apart from the results': those may be as long as names can be.
 _WORK = ".unips-"
 _BEFORE = "before-"
@@ -96,6 +99,12 @@ def results_of(folder: Path) -> list[Path]:
     names = whole_record(folder)["files"]
     files = [folder / name for name in [*names, RECORD]]
     return [file for file in files if file.is_file()]
+
+
+def transfer_of(file: ImageFile) -> Transfer:
+    """How values encode light: by tags; our base colours are sRGB, tagged or not."""
+    ours = file.path.name == "base_color.png" and (file.path.parent / RECORD).is_file()
+    return "srgb" if ours else file.encoding.transfer
 
 
 def normal_map_of(folder: Path) -> str:
@@ -279,7 +288,8 @@ def _by_hand(place: Path, new: Path, hashes: dict[str, Any]) -> set[str]:
     with contextlib.suppress(OSError, InputError):
         if mask.is_file() and hashes.get(_MASK) not in (None, file_hash(mask)):
             found.add(_MASK)
-        if view.is_file() and _WITHOUT_NOTES not in view.read_bytes():
+        page = view.read_bytes() if view.is_file() else b""
+        if _NOTES in page and _WITHOUT_NOTES not in page:
             found.add(_VIEW)
     return found
 

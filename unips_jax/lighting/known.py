@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.naming import plain_name
+from unips_jax.io.naming import plain_name, rows_in_order
 from unips_jax.lighting.rig import read_directions
 
 _WORDS = {
@@ -59,7 +59,7 @@ def _from_list(path: Path, names: Sequence[str]) -> tuple[list[int], np.ndarray]
     if rows:
         return rows, directions[[places[plain_name(names[row])] for row in rows]]
     if len(known) == len(names):
-        return list(range(len(names))), directions
+        return list(range(len(names))), directions[rows_in_order(known)]
     raise InputError(
         f"{option}: expected lights by the photographs' names ({names[0]}, ...), or "
         f"{len(names)} in their order, got {len(known)} of other names"

@@ -13,7 +13,7 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.light_list import read_light_list
-from unips_jax.io.naming import plain_name
+from unips_jax.io.naming import plain_name, rows_in_order
 from unips_jax.lighting.harmonics import harmonics
 from unips_jax.lighting.light_fit import Lights
 
@@ -104,7 +104,7 @@ def _rows(known: Sequence[str], names: Sequence[str] | None, source: Path) -> li
     if all(name in places for name in wanted):
         return [places[name] for name in wanted]
     if len(known) == len(names):
-        return list(range(len(names)))
+        return rows_in_order(known)
     missing = next(n for n, w in zip(names, wanted, strict=True) if w not in places)
     raise InputError(
         f"--lights-from {source}: expected a light for each of the {len(names)} "

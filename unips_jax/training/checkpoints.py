@@ -172,7 +172,14 @@ class Checkpoints:
                 f"configuration (field: saved, given): {changed}; continue with the "
                 "saved one, or choose another --workdir and --init-weights"
             )
-        state = ocp.load_checkpointables(folder, {"state": abstract_state})
+        try:
+            state = ocp.load_checkpointables(folder, {"state": abstract_state})
+        except (KeyError, ValueError) as error:  # intact, by its checksums
+            raise InputError(
+                f"{folder}: expected the parameters of this version's network, got "
+                f"others ({str(error):.80}); go on with the version that wrote them, "
+                "or choose another --workdir and --init-weights"
+            ) from error
         return state["state"], json.loads(metadata["record"])
 
     def _steps(self) -> list[int]:

@@ -21,6 +21,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
 from unips_jax.models.config_json import to_json
 from unips_jax.models.network import UniversalNetwork
+from unips_jax.provenance import code_hash
 from unips_jax.training.batches import make_batches
 from unips_jax.training.checkpoints import Checkpoints
 from unips_jax.training.compilation import compile_together
@@ -279,8 +280,9 @@ def _validate_and_keep_best(
     if log.shows_pictures:
         log.pictures(step, validation_pictures(network, config))
     # A score on other scenes, before a resumption, is no measure of this one.
-    on = [config.train.validation_scenes, config.train.validation_images]
-    best = record["best_mae_deg"] if record.get("best_on", on) == on else None
+    scenes, images = config.train.validation_scenes, config.train.validation_images
+    on = [scenes, images, code_hash("scenes.render")]
+    best = record["best_mae_deg"] if record.get("best_on") == on else None
     better = scores["mae"] < (math.inf if best is None else best)  # NaN is not
     rank = "the best so far" if better else f"best: {best or math.nan:.2f}"
     say(

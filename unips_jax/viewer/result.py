@@ -11,7 +11,12 @@ import numpy as np
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer, as_linear
-from unips_jax.io.images import read_bytes, read_image_file, require_size
+from unips_jax.io.images import (
+    linear_of,
+    read_bytes,
+    read_image_file,
+    require_size,
+)
 from unips_jax.io.normal_maps import read_normal_map
 from unips_jax.io.orientation import read_as_estimated
 from unips_jax.io.results import whole_record
@@ -93,9 +98,7 @@ def maps_of(folder: Path, size: tuple[int, ...]) -> dict[str, Any]:
     color, spread = folder / "base_color.png", folder / "confidence.exr"
     if color.is_file():
         # Always sRGB, also where earlier versions left 16 bits without a tag.
-        file = read_image_file(color)
-        linear = as_linear(file.encoding.values(file.pixels), "srgb")
-        linear = np.broadcast_to(linear, (*linear.shape[:2], 3))
+        linear = linear_of(read_image_file(color), "srgb")
         maps["base_color"] = _of_size(color, linear, size)
     if spread.is_file():
         values = read_image_file(spread).pixels[..., 0]
