@@ -243,15 +243,17 @@ def start_jax() -> None:
 def cache_compilations(folder: str | os.PathLike[str] | None = None) -> None:
     """Keeps what JAX compiles for later runs, at most a gigabyte of it.
 
-    Every command does so. A folder that `JAX_COMPILATION_CACHE_DIR` names is left as it
-    is, if none is given here.
+    Every command does so. To be called before JAX compiles something. A folder that
+    JAX has already, as `JAX_COMPILATION_CACHE_DIR` names one, stays if none is given.
 
     Args:
         folder: where; `unips_jax` in the user's cache folder if None.
     """
     import jax
 
-    if folder is None and "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    named = "JAX_COMPILATION_CACHE_DIR" in os.environ  # an empty name: none
+    there = getattr(jax.config, "jax_compilation_cache_dir", None)
+    if folder is None and (named or there):
         return
     # Without a home folder, of the environment or the user's, nothing is kept.
     with contextlib.suppress(RuntimeError):

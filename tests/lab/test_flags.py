@@ -17,9 +17,10 @@ from small_networks import (
 )
 from training_runs import CONFIG, batch
 
-from unips_jax import estimate_normals
+from unips_jax import estimate_normals, integrate_image
 from unips_jax.baselines.method import Lights, Observed
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
+from unips_jax.scenes.draws import Draws, seeded
 from unips_jax.training.chunked_sum import chunked_sum
 from unips_jax.training.state import init_state
 from unips_jax.training.step import batch_gradient, train_step
@@ -55,6 +56,25 @@ def test_sums_in_pieces_keep_their_type(flags):
         assert slope.dtype == jnp.float32
         found.append((float(value), float(slope)))
     assert found[0] == found[1] == (60.0, 30.0)
+
+
+def test_holes_of_nan_are_no_mistake(flags):
+    flags(NANS)
+    normals = np.zeros((12, 12, 3), np.float32)
+    normals[..., 2], normals[4, 5] = 1, np.nan
+    depth = integrate_image(normals, max_rounds=0).depth
+    assert np.isnan(depth[4, 5]) and np.isfinite(depth).sum() == 143
+
+
+def test_scenes_of_a_seed_are_the_same_by_any_generator():
+    expected = Draws(jax.random.fold_in(seeded(3), 1), 4).unit(4)
+    before = jax.config.jax_default_prng_impl
+    jax.config.update("jax_default_prng_impl", "rbg")
+    try:
+        found = Draws(jax.random.fold_in(seeded(3), 1), 4).unit(4)
+    finally:
+        jax.config.update("jax_default_prng_impl", before)
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_every_baseline_runs_with_wide_numbers(flags):

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SHALLOW_OURS, lively_weights
+from small_networks import SHALLOW, SHALLOW_OURS, lively_network, lively_weights
 
 from unips_jax.models.light_tokens import LightGuess
 from unips_jax.models.network import UniversalNetwork
@@ -175,6 +175,17 @@ def test_every_new_parameter_has_a_gradient():
         name = jax.tree_util.keystr(path)
         if "key" not in name or "bias" not in name:  # softmax does not see it
             assert np.abs(value).max() > 0, name
+
+
+def test_objects_that_do_not_fit_are_refused():
+    keys = jax.random.split(jax.random.key(1), 2)
+    odd = jax.tree.map(lambda x: x[..., 1:, 1:, :], objects()._replace(mask=None))
+    odd = odd._replace(mask=objects().mask[..., 1:, 1:])
+    with pytest.raises(ValueError, match="expected images with even sides, got"):
+        training_loss(lively_network(SHALLOW_OURS), odd, keys, BLOCKS)
+    known = objects()._replace(known_lights=jnp.ones((2, 3, 3)))
+    with pytest.raises(ValueError, match="a network that guesses lights"):
+        training_loss(lively_network(SHALLOW), known, keys, BLOCKS)
 
 
 def test_settings_that_do_not_fit_are_refused():

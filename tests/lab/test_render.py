@@ -106,6 +106,17 @@ def test_a_folder_written_again_has_no_photographs_of_the_earlier(tmp_path):
     )
 
 
+def test_facts_may_be_arrays(tmp_path):
+    mask, normals = np.ones((8, 8), bool), np.zeros((8, 8, 3), np.float32)
+    facts = {"size": np.int64(8), "light_directions": np.eye(3, dtype=np.float32)}
+    write_folder(tmp_path / "a.data", np.ones((3, 8, 8, 3)), mask, normals, facts)
+    meta = json.loads((tmp_path / "a.data" / "meta.json").read_text())
+    assert meta["size"] == 8 and meta["light_directions"] == np.eye(3).tolist()
+    with pytest.raises(TypeError, match="facts: expected values that JSON holds"):
+        write_folder(tmp_path / "b.data", (), mask, normals, {"a": object()})
+    assert not (tmp_path / "b.data").exists()
+
+
 def test_photographs_of_ones_own_are_not_replaced(tmp_path):
     mask, normals = np.ones((8, 8), bool), np.zeros((8, 8, 3), np.float32)
     folder = tmp_path / "cup.data"

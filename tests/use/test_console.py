@@ -144,6 +144,18 @@ def test_a_platform_that_is_not_there_is_one_line(name, tmp_path):
     assert "error: JAX_PLATFORMS=tpu: expected a platform" in ran.stderr
 
 
+def test_a_folder_that_a_program_set_for_compilations_stays(monkeypatch, tmp_path):
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    before = jax.config.jax_compilation_cache_dir
+    try:
+        jax.config.update("jax_compilation_cache_dir", str(tmp_path / "mine"))
+        cache_compilations()
+        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine")
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+
+
 def test_without_a_home_nothing_is_kept_but_in_a_folder_given(monkeypatch, tmp_path):
     """As for a user without HOME and without an entry in the list of users."""
 

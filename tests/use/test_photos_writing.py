@@ -4,6 +4,7 @@ import hashlib
 import json
 
 import cv2
+import jax.numpy as jnp
 import numpy as np
 import OpenEXR
 import pytest
@@ -73,6 +74,13 @@ def test_the_object_is_where_lengths_are_one_to_a_thousandth():
     expected = [False, False, True, True, False]
     z = np.float32([0, 0, 1]) * lengths[:, None]
     np.testing.assert_array_equal(has_unit_length(z), expected)
+
+
+def test_normals_of_any_type_are_written_as_float32(tmp_path, normals):
+    write_normals(tmp_path, jnp.asarray(normals, jnp.bfloat16))
+    written = np.load(tmp_path / "normals.npy")
+    assert written.dtype == np.float32
+    np.testing.assert_allclose(written, normals, atol=0.01)
 
 
 def test_true_normals_of_eight_bits_are_whole_however_they_are_stored():

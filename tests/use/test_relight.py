@@ -149,12 +149,14 @@ def test_derivatives_are_finite_and_true():
         assert slope == pytest.approx(expected, rel=0.02, abs=1e-5)
 
 
-@pytest.mark.parametrize("focal", [None, 30.0])
-def test_types_do_not_grow_with_wide_numbers(focal):
+@pytest.mark.parametrize("focal", [None, 30.0, np.float64(30)])
+@pytest.mark.parametrize("around", [None, (9, 3), (4, 8, 3)])
+def test_types_do_not_grow_with_wide_numbers(focal, around):
     lights = DistantLights(np.float32([[0, 0, 1]]), np.ones((1, 3), np.float32))
+    environment = None if around is None else np.ones(around, np.float32)
     with jax.enable_x64(True):
         run = functools.partial(relight, focal=focal)
-        found = jax.eval_shape(run, NORMALS, WHITE, lights)
+        found = jax.eval_shape(run, NORMALS, WHITE, lights, environment)
     assert found.dtype == jnp.float32
 
 

@@ -188,10 +188,18 @@ def test_priors_of_any_type(dtype):
 
 def test_types_do_not_grow_with_wide_numbers():
     normals, mask, _, _ = hemisphere(20)
+    prior = np.ones(mask.shape, np.float32)
     with jax.enable_x64(True):
-        for focal in (None, 30.0):
-            run = functools.partial(integrate_normals, focal=focal)
+        for focal in (None, 30.0, np.float64(30)):
+            run = functools.partial(
+                integrate_normals,
+                focal=focal,
+                principal_point=focal and (focal, focal),
+                prior_weight=np.float64(1e-3),
+            )
             assert jax.eval_shape(run, normals, mask).dtype == jnp.float32
+            found = jax.eval_shape(functools.partial(run, prior=prior), normals, mask)
+            assert found.dtype == jnp.float32
 
 
 def test_prior_in_perspective_has_the_users_unit():

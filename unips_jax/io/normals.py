@@ -51,6 +51,7 @@ def write_normals(
     `normals` are `[H, W, 3]`, float32, unit length or 0; `normals.mat` is for MATLAB,
     key `Normal_est`; `normal_map` is the convention of the PNG and the EXR.
     """
+    normals = np.asarray(normals, np.float32)
     folder, turned = Path(folder), turn_normals(normals, normal_map)
     write_image(folder / "normals.png", encode_normals(turned))
     with new_file(folder / "normals.npy") as file:

@@ -129,7 +129,7 @@ def write_folder(
         images: `[H, W, 3]` each, linear, 1 becomes 65535.
         mask: `[H, W]` bool.
         normals: `[H, W, 3]`, unit inside the mask.
-        facts: for `meta.json`.
+        facts: for `meta.json`, numbers and arrays too.
         maps: of the material in [0, 1], `[H, W]` or `[H, W, 3]`, kept as 16-bit TIFF
             under their names.
         depth: `[H, W]`, kept as `depth.exr`; 0 outside the mask.
@@ -147,6 +147,7 @@ def write_folder(
             f"{folder}: expected a new folder, or one that was written here before "
             f"({META}), got one with other files, such as {min(own)}; choose another"
         )
+    plain = json.loads(json.dumps(dict(facts), default=_plain))
     earlier = () if "files" in meta else _EARLIER
     with appearing_at_once(folder, record=META, ours=earlier) as place:
         _write_files(place, images, mask, normals, name)
@@ -155,7 +156,14 @@ def write_folder(
         if depth is not None:
             write_exr(place / "depth.exr", {"Z": np.where(mask, depth, 0)})
         files = sorted(path.name for path in place.iterdir())
-        write_json(place / META, {**facts, "files": files}, indent=1)
+        write_json(place / META, {**plain, "files": files}, indent=1)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and arrays of NumPy as JSON has them."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    raise TypeError(f"facts: expected values that JSON holds, got {type(value)}")
 
 
 def _write_files(

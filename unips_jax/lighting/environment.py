@@ -37,7 +37,8 @@ def _lobe_shares() -> tuple[np.ndarray, np.ndarray]:
         (weight * legendre).sum(0) / weight.sum(0)
         for legendre in (np.ones_like(cosine), cosine, 1.5 * cosine**2 - 0.5)
     ]
-    return np.append(0, roughness), np.pad(shares, ((0, 0), (1, 0)), constant_values=1)
+    padded = np.pad(shares, ((0, 0), (1, 0)), constant_values=1)
+    return np.append(0, roughness).astype(np.float32), padded.astype(np.float32)
 
 
 class Blurred(NamedTuple):
@@ -52,8 +53,9 @@ class Blurred(NamedTuple):
 
 def sphere(height: int, width: int) -> tuple[Array, Array]:
     """Unit vectors `[h, w, 3]` and steradians `[h, w]` of a picture's pixels."""
-    down = (jnp.arange(height) + 0.5)[:, None] * (math.pi / height)
-    around = ((jnp.arange(width) + 0.5) / width - 0.5)[None] * (2 * math.pi)
+    rows, columns = (jnp.arange(n, dtype=jnp.float32) for n in (height, width))
+    down = (rows + 0.5)[:, None] * (math.pi / height)
+    around = ((columns + 0.5) / width - 0.5)[None] * (2 * math.pi)
     level = jnp.sin(down)
     x, z = level * jnp.sin(around), -level * jnp.cos(around)
     y = jnp.broadcast_to(jnp.cos(down), x.shape)
@@ -91,7 +93,7 @@ def blurred(environment: Array) -> Blurred:
         n_h2 = 0.5 + 0.5 * cosine
         return mean(weight / jnp.square(n_h2 * (squared - 1) + 1))
 
-    levels = _ROUGHNESS * jnp.arange(1, _LEVELS + 1)
+    levels = _ROUGHNESS * jnp.arange(1, _LEVELS + 1, dtype=jnp.float32)
     return Blurred(environment, mean(weight), jax.lax.map(lobe, levels))
 
 

@@ -91,7 +91,8 @@ def relight(
     surface = _surface(materials, (normals.shape[0], normals.shape[1]))
     lamps = None if lights is None else _checked(lights)
     around = None if environment is None else _checked_environment(environment)
-    return _relight(normals, surface, lamps, around, focal)
+    distance = None if focal is None else jnp.asarray(focal, jnp.float32)
+    return _relight(normals, surface, lamps, around, distance)
 
 
 @jax.jit

@@ -131,7 +131,7 @@ def _in_views(lights: Any, steps: tuple[int, ...]) -> Any:
     if lights is None:
         return None
     signs = np.array([[[step, 1, 1]] for step in steps], np.float32)
-    return lights * signs
+    return lights[None] * signs
 
 
 def square_frame(mask: ArrayLike, kind: FrameKind = "mask") -> Frame:

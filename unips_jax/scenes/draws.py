@@ -13,6 +13,14 @@ from jax import Array
 from jax.typing import ArrayLike
 
 
+def seeded(seed: int) -> Array:
+    """A key for a seed, of the same numbers whatever `jax_default_prng_impl` is.
+
+    Others than threefry's draw other numbers for many keys together than one by one.
+    """
+    return jax.random.key(seed, impl="threefry2x32")
+
+
 class Draws:
     """Hands out independent random numbers; the order of calls is the layout."""
 

@@ -29,6 +29,7 @@ from unips_jax.scenes import (
     SceneConfig,
     render_batch,
 )
+from unips_jax.scenes.draws import seeded
 
 LIGHTINGS = ("directional", "environment", "mixed")
 
@@ -88,7 +89,7 @@ def render_folders(
         folder = folders[index, name]
         if _is_there(folder, options):  # another process was faster
             continue
-        key = jax.random.fold_in(jax.random.key(seed), index)
+        key = jax.random.fold_in(seeded(seed), index)
         batch = render_batch(
             key[None],
             shape=_in_turn(shapes, index),
@@ -159,7 +160,7 @@ def render_sheet(
     """
     batches = []
     for first in track(range(0, scenes, 8), "rendering"):
-        keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), first), 8)
+        keys = jax.random.split(jax.random.fold_in(seeded(seed), first), 8)
         shape = _in_turn(shapes, first // 8)
         batch = render_batch(keys, shape=shape, size=size, num_images=3)
         batches.append(jax.tree.map(np.asarray, batch))

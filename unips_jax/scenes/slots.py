@@ -105,7 +105,8 @@ def _material(
     side = side[:, None]
     tube = jnp.take_along_axis(primitives.rotation, side[..., None], 1)[:, 0]
     section = jnp.cross(primitives.rotation[:, 2], jnp.asarray([0.0, 0.0, 1.0]))
-    section = section / jnp.linalg.norm(section, axis=-1, keepdims=True)
+    length = jnp.linalg.norm(section, axis=-1, keepdims=True)
+    section = section / jnp.maximum(length, 1e-9)  # of lathes: their rings lie flat
     tube = jnp.where(lathe, section * jnp.sign(section[:, :1]), tube)
     width = jnp.take_along_axis(primitives.extent, side, 1) - primitives.hole[:, None]
     middle = jnp.where(ring, tube * width, 0.0)

@@ -94,8 +94,9 @@ def integrate_image(
     middle = ((width - 1) / 2, (height - 1) / 2)
     column, row = middle if principal_point is None else principal_point
     camera = (focal, (column - box[1].start, row - box[0].start))
+    there = np.where(inside[box][..., None], normals[box], 0).astype(np.float32)
     stated, known, shift = _start(
-        jnp.asarray(_padded(normals[box].astype(np.float32))),
+        jnp.asarray(_padded(there)),
         jnp.asarray(_padded(inside[box])),
         None if prior is None else jnp.asarray(_padded(prior[box].astype(np.float32))),
         prior_weight,

@@ -90,6 +90,11 @@ def integrate_normals(
     check_shapes(normals.shape, mask.shape, None if prior is None else prior.shape)
     if rounds < 0:
         raise ValueError(f"rounds: expected 0 or more, got {rounds}")
+    if focal is not None:
+        focal = jnp.asarray(focal, jnp.float32)
+    if principal_point is not None:
+        column, row = (jnp.asarray(place, jnp.float32) for place in principal_point)
+        principal_point = column, row
     stated = statements(normals, mask > 0, focal, principal_point)
     known, shift = read_prior(prior, prior_weight, stated.inside, focal)
 
@@ -127,7 +132,7 @@ def read_prior(
     if prior is None:
         nothing = jnp.zeros(inside.shape, jnp.float32)
         return Prior(nothing, nothing), jnp.zeros((), jnp.float32)
-    prior = jnp.asarray(prior, jnp.float32)
+    prior, weight = (jnp.asarray(x, jnp.float32) for x in (prior, weight))
     known = inside & jnp.isfinite(prior)
     if focal is None:
         depth = jnp.where(known, prior, 0)

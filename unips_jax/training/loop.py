@@ -22,6 +22,7 @@ from unips_jax.io.claims import make_folder
 from unips_jax.models.config_json import to_json
 from unips_jax.models.network import UniversalNetwork
 from unips_jax.provenance import code_hash
+from unips_jax.scenes.draws import seeded
 from unips_jax.training.batches import make_batches
 from unips_jax.training.checkpoints import Checkpoints
 from unips_jax.training.compilation import compile_together
@@ -77,7 +78,7 @@ def train(
     make_folder(workdir, "--workdir")
     kind = mesh.devices.flat[0].device_kind
     say(f"training in {workdir}, {config.train.steps} steps, on {mesh.size} x {kind}")
-    key = jax.random.key(config.train.seed)
+    key = seeded(config.train.seed)
     init_key, scene_key, step_key = jax.random.split(key, 3)
     abstract = _abstract_state(config, init_key, mesh)
     check_memory(abstract, mesh)

@@ -16,7 +16,7 @@ from jax import Array
 from unips_jax.checks import require
 from unips_jax.models import ops
 from unips_jax.models.chunks import CHUNK_IMAGES, CHUNK_TOKENS, in_pieces
-from unips_jax.models.config import ModelConfig
+from unips_jax.models.config import ModelConfig, require_known_lights
 from unips_jax.models.encoding import Guesses, whole
 from unips_jax.models.network import (
     UniversalNetwork,
@@ -151,12 +151,19 @@ def training_loss(
 
     Raises:
         ValueError: if the network sees details and `grid_loss` is wanted: the grid has
-            none.
+            none; for `pixel_blocks` of images with an odd side; for known lights of a
+            network that has no use for them.
     """
     require(
         not (network.config.sees_details and options.grid_loss),
         "grid_loss: expected False with a network that has fine_dim, got True",
     )
+    require(
+        not (options.pixel_blocks and any(n % 2 for n in objects.mask.shape[1:])),
+        f"pixel_blocks: expected images with even sides, got {objects.mask.shape[1:]}",
+    )
+    if objects.known_lights is not None:
+        require_known_lights(network.config)
     # On CPU the decoder's chunks are small: nothing to recompute.
     on_cpu = jax.default_backend() == "cpu"
     remat = network.config.remat

@@ -26,6 +26,7 @@ from unips_jax.scenes import (
     load_meshes,
     render_scene,
 )
+from unips_jax.scenes.draws import seeded
 from unips_jax.training.config import Config
 
 # Training keys are folded from small seeds; this one is apart from all of them.
@@ -36,7 +37,7 @@ _render = jax.jit(render_scene, static_argnames=("size", "num_images", "config")
 
 def held_out_key(index: int) -> jax.Array:
     """The key of held-out scene number `index`."""
-    return jax.random.fold_in(jax.random.key(_HELD_OUT_SEED), index)
+    return jax.random.fold_in(seeded(_HELD_OUT_SEED), index)
 
 
 def held_out_scenes(
