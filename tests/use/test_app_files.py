@@ -33,7 +33,7 @@ def test_one_bad_file_among_eight_is_set_aside(opening):
     sent["cut.png"] = sent["0.png"][:3000]
     sent["large.png"] = photographs(1, (80, 48))["0.png"]
     black = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint16))[1].tobytes()
-    sent["normal_7.png"] = sent["4.png"]  # a map by its name; here a photograph
+    sent["normal_7.png"] = sent["4.png"]  # a map by its name, until it is taken
     sent["black.png"] = black
     for name, data in sent.items():
         assert client.put(key, name, data).status == 200
@@ -43,7 +43,12 @@ def test_one_bad_file_among_eight_is_set_aside(opening):
         "cut.png": "damaged",
         "large.png": "size",
         "black.png": "black",
+        "normal_7.png": "map",
     }
+    client.post(f"/objects/{key}/use", file="normal_7.png", use=True)
+    shown = client.ready(key)
+    aside = of_state(shown, "aside")
+    assert aside.keys() == {"cut.png", "large.png", "black.png"}
     details = {p["name"]: p["detail"] for p in shown["photographs"]}
     assert details["large.png"] == "80 x 48"
     assert shown["found"]["names"] == [*map("{}.png".format, range(5)), "normal_7.png"]
