@@ -173,7 +173,7 @@ def _decode_pixels(
 ) -> np.ndarray:
     """Normals of the masked pixels, `[H, W, 3]`, a chunk on every core at a time.
 
-    With `every`, of one row and column in so many, on that grid (see `_grid`).
+    With `every` above 1 only of every such row and column (see `_grid`).
     """
     mask = mask[_grid(every)]
     normals = np.zeros((*mask.shape, 3), np.float32)
