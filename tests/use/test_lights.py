@@ -126,13 +126,14 @@ def test_shapes_that_do_not_fit_are_named(arguments, message):
 
 
 def test_base_colour_without_highlights_and_seams(tmp_path, monkeypatch):
-    images = photographs(gloss=True)
-    lights = estimate_lights(images, NORMALS, MASK, guesses=DIRECTIONS)
-    whole = base_color(images, NORMALS, MASK, lights)
-    truth = texture()[MASK] * (whole[MASK] * texture()[MASK]).sum()
-    truth = truth / np.square(texture()[MASK]).sum()
-    error = np.abs(whole[MASK] / truth - 1)  # measured: 0.015 and 0.12
-    assert np.median(error) < 0.04 and np.quantile(error, 0.9) < 0.16
+    for gloss in (False, True):
+        images = photographs(gloss=gloss)
+        lights = estimate_lights(images, NORMALS, MASK, guesses=DIRECTIONS)
+        whole = base_color(images, NORMALS, MASK, lights)
+        truth = texture()[MASK]
+        truth = truth * (whole[MASK] * truth).sum(0) / np.square(truth).sum(0)
+        error = np.abs(whole[MASK] / truth - 1)  # measured: 0.03, and 0.05 and 0.10
+        assert np.median(error) < 0.04 and np.quantile(error, 0.9) < 0.14
     assert np.quantile(whole[MASK].max(-1), 0.99) == pytest.approx(0.8, abs=0.01)
     monkeypatch.setattr("unips_jax.lighting.light_fit._STRIP", 7 * 5 * 40)
     np.testing.assert_allclose(base_color(images, NORMALS, MASK, lights), whole, 1e-6)
@@ -152,6 +153,30 @@ def test_base_colour_without_highlights_and_seams(tmp_path, monkeypatch):
     assert transfer_of(read_image_file(path)) == "linear"
     (tmp_path / RECORD).write_text("{}")
     assert transfer_of(read_image_file(path)) == "srgb"
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
+def test_dark_and_saturated_paint_stays(noise):
+    """On white: the cleaner the photographs, the less it fits what is typical."""
+    paint = np.full((40, 40, 3), 0.8)
+    patches = {
+        (12, 15): (0.03,) * 3,
+        (12, 22): (0.7, 0.04, 0.04),
+        (24, 18): (0.1, 0.3, 0.1),
+    }
+    for (top, left), color in patches.items():
+        paint[top : top + 5, left : left + 5] = color
+    cosine = np.maximum(np.einsum("hwk,nk->nhw", NORMALS, DIRECTIONS), 0)
+    images = cosine[..., None] * paint
+    rng = np.random.default_rng(0)
+    images += noise * np.sqrt(images) * rng.standard_normal(images.shape)
+    stored = np.uint8(np.rint(255 * srgb_encode(np.clip(images, 0, 1))))
+    lights = estimate_lights(stored, NORMALS, MASK, guesses=DIRECTIONS, transfer="srgb")
+    found = base_color(stored, NORMALS, MASK, lights, transfer="srgb")
+    found *= 0.8 / np.median(found[MASK], axis=0)
+    for (top, left), color in patches.items():
+        patch = np.median(found[top : top + 5, left : left + 5], axis=(0, 1))
+        np.testing.assert_allclose(patch, color, rtol=0.15, atol=0.04)
 
 
 def test_lights_on_disk(tmp_path):

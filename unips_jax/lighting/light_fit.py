@@ -26,9 +26,11 @@ _SAMPLE = 8000  # pixels
 _ROUNDS = 8
 _STRIP = 2**20  # pixels of all photographs together
 _DIRECTION_ROUNDS = 60
-_USUAL = 0.5  # irradiance, where what faces the light has about 1
 _FADE = 0.08  # irradiance: what is darker shows little
-_FAINT = 0.3  # pull of albedos to the typical one: as of one photograph, half lit
+_FAINT = 0.1  # pull of albedos to the typical one, as of squared irradiance
+_SPREAD = 0.18  # of albedos' logarithms: the pull grows by deviations against this
+_BLACK = 1e-3  # of the typical albedo: no albedo is lower
+_ABOVE = 0.6  # of the light on a pixel: shadows are more often than highlights
 _CUT = 2.0  # deviations, above which residuals lose their weight
 _AMBIENT = 0.3  # of the squared albedos: pull of the surroundings to their prior
 
@@ -137,13 +139,20 @@ def robust_albedo(
     spared. `scales` are of more pixels than these, so that parts of an image fit
     together.
     """
-    weight = known = np.clip(light / _FADE, 0, 1)
+    known = np.clip(light / _FADE, 0, 1)
     typical = None if scales is None else scales.albedo
-    albedo = _quotient(weight, pixels, light, typical)
-    for _ in range(rounds if len(pixels) > 2 else 0):
-        size = None if scales is None else scales.residuals
-        weight = known * _spared(pixels, light, albedo, size)
-        albedo = _quotient(weight, pixels, light, typical)
+    own, albedo = _quotients(known, pixels, light, typical, _FAINT)
+    if len(pixels) < 3:
+        return albedo
+    own = np.maximum(_usual_ratio(known, pixels, light), _BLACK * albedo)
+    for _ in range(rounds):
+        # By the pixel's own albedo: one pulled to the typical one would make all
+        # photographs of dark paint look wrong, and then the pull alone would count.
+        off = pixels / np.maximum(own, 1e-12) - light
+        size = _size(off) if scales is None else scales.residuals
+        pull = _FAINT + np.square(size / _SPREAD).mean(0)
+        weight = known * _spared(off, size)
+        own, albedo = _quotients(weight, pixels, light, typical, pull)
     return albedo
 
 
@@ -160,29 +169,37 @@ def albedo_scales(pixels: np.ndarray, light: np.ndarray) -> Scales:
     return Scales(np.median(albedo, axis=0), _size(pixels / albedo - light))
 
 
-def _quotient(
+def _quotients(
     weight: np.ndarray,
     pixels: np.ndarray,
     light: np.ndarray,
     typical: np.ndarray | None,
-) -> np.ndarray:
-    above, below = (weight * light * pixels).sum(0), (weight * light * light).sum(0)
-    if typical is None:
-        typical = np.median(above / np.maximum(below, 1e-12), axis=0)
-    # A pull to the typical albedo decides where photographs show little.
-    faint = _FAINT * _USUAL**2
-    return np.maximum((above + faint * typical) / (below + faint), 1e-4 * typical)
+    pull: np.ndarray | float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels' own albedos, and those that are pulled to the typical one: `[P, 3]`."""
+    below = (weight * light * light).sum(0)
+    own = (weight * light * pixels).sum(0) / np.maximum(below, 1e-12)
+    typical = np.maximum(np.median(own, axis=0) if typical is None else typical, 1e-12)
+    own = np.maximum(own, _BLACK * typical)
+    # The pull decides where photographs show little; of the logarithms, since what is
+    # added to dark paint would be most of it.
+    return own, own * (typical / own) ** (pull / (below + pull))
 
 
-def _spared(
-    pixels: np.ndarray,
-    light: np.ndarray,
-    albedo: np.ndarray,
-    size: np.ndarray | None = None,
+def _usual_ratio(
+    known: np.ndarray, pixels: np.ndarray, light: np.ndarray
 ) -> np.ndarray:
+    """Pixel over irradiance as most photographs have it, few of them in shadow."""
+    ratio, weight = pixels / np.maximum(light, 1e-12), known * light
+    order = np.argsort(ratio, axis=0)
+    part = np.cumsum(np.take_along_axis(weight, order, 0), axis=0)
+    place = (part >= _ABOVE * part[-1]).argmax(0)
+    chosen = np.take_along_axis(order, place[None], 0)
+    return np.take_along_axis(ratio, chosen, 0)[0]
+
+
+def _spared(off: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Weights of pixels, small where the model is far from them: `[N, P, 3]`."""
-    off = pixels / np.maximum(albedo, 1e-12) - light
-    size = _size(off) if size is None else size
     return 1 / (1 + (off / (_CUT * size)) ** 2)
 
 
@@ -235,8 +252,10 @@ def _fitted_directions(grey: np.ndarray, normal: np.ndarray) -> np.ndarray:
         shading = np.maximum(lights @ normal.T, 0)
         lit = (shading > 0).astype(float)
         if len(grey) > 2:
-            albedo = robust_albedo(grey[..., None], shading[..., None], rounds=0)[:, 0]
-        weight = _spared(grey[..., None], shading[..., None], albedo[:, None])[..., 0]
+            known = np.clip(shading / _FADE, 0, 1)
+            albedo = _quotients(known, grey, shading, None, _FAINT)[0]
+        off = grey / np.maximum(albedo, 1e-12) - shading
+        weight = _spared(off, _size(off))
     length = np.linalg.norm(lights, axis=-1, keepdims=True)
     return np.where(length > 1e-9, lights / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
 
@@ -259,7 +278,8 @@ def _fitted_light(
         albedo = robust_albedo(pixels, light, rounds=2)
         if len(pixels) < 3:
             albedo = np.broadcast_to(np.median(albedo, 0), albedo.shape)
-        weight = _spared(pixels, light, albedo)
+        off = pixels / np.maximum(albedo, 1e-12) - light
+        weight = _spared(off, _size(off))
         for index, color in np.ndindex(len(pixels), 3):
             basis = np.concatenate([cosine[index][:, None], smooth], 1)
             basis = basis * albedo[:, color, None]
