@@ -2,8 +2,8 @@
 
 Conventions, equations and source are those of `unips_jax.surface.equations`. They are
 solved by iteratively reweighted least squares, first with equal weights. Each round
-solves for the change of depth, with a faint spring added to every edge: regions that
-the weights cut off entirely stay where they are, and the fixed point is the same.
+solves for the change of depth, with a faint spring added to every edge and every pixel:
+what the weights cut off entirely stays where it is, and the fixed point is the same.
 """
 
 from typing import NamedTuple
@@ -35,6 +35,7 @@ SHARPNESS = 2.0  # k of the paper
 PRIOR_WEIGHT = 1e-4
 _SOLVE = Solve(tolerance=1e-5, max_steps=100)
 _FAINT = 1e-5  # stiffness added to every edge of the matrix, not of the equations
+_HELD = 1e-8  # the same of every pixel: rounding would carry islands far away
 
 
 class Prior(NamedTuple):
@@ -164,7 +165,8 @@ def reweight(
         stiffness.down * (asked.down - step.down),
     )
     force = balance(missing) + prior.weight * (prior.depth - depth)
-    change = solve(Springs(faint, prior.weight), force, **until._asdict())
+    springs = Springs(faint, prior.weight + _HELD)
+    change = solve(springs, force, **until._asdict())
     return depth + change
 
 
