@@ -1,5 +1,9 @@
 """Programs kept between runs; how many compilations an estimate takes."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -162,3 +166,44 @@ def test_errors_of_a_thread_are_raised(monkeypatch):
     monkeypatch.setattr(streaming, "_decode", kept)
     with pytest.raises(MemoryError, match="this chunk"):
         estimate_photographs(lively_network(SHALLOW_OURS), *disc(37))
+
+
+MESHES = """
+import sys
+import jax
+import numpy as np
+from small_networks import SHALLOW_OURS, lively_network
+from unips_jax.estimation.streaming import estimate_photographs
+
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+images = np.random.default_rng(0).random((2, 32, 32, 3), np.float32)
+network = lively_network(SHALLOW_OURS)
+kinds = [jax.sharding.AxisType.Explicit] * (len(jax.devices()) > 1)
+for kind in kinds:
+    mesh = jax.make_mesh((2,), ("data",), axis_types=(kind,))
+    with jax.set_mesh(mesh):
+        within = estimate_photographs(network, images)
+with jax.disable_jit(not kinds):
+    found = estimate_photographs(network, images)
+for _ in kinds:
+    np.testing.assert_array_equal(within, found)
+print(len(jax.devices()), float(np.linalg.norm(found)))
+"""
+
+
+def test_a_callers_mesh_is_not_kept(tmp_path):
+    """Programs are of one device, in this process and in later ones."""
+    said = []
+    for devices in (2, 1):
+        flags = f"--xla_force_host_platform_device_count={devices}"
+        path = os.pathsep.join(map(str, (*sys.path, Path(__file__).parents[1])))
+        environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": path}
+        ran = subprocess.run(
+            [sys.executable, "-c", MESHES, str(tmp_path)],
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        assert ran.returncode == 0, ran.stderr
+        said.append(ran.stdout.split())
+    assert [count for count, _ in said] == ["2", "1"] and said[0][1] == said[1][1]

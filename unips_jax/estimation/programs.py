@@ -58,7 +58,8 @@ class Kept:
         program = self._find(tree, shapes, tuple(sorted(static.items())))
 
         def run(*arguments: Any) -> tuple[Any, ...]:
-            return program(*jax.tree.leaves(arguments))
+            with jax.disable_jit(False):  # there is no other way to run it
+                return program(*jax.tree.leaves(arguments))
 
         return run
 
@@ -97,7 +98,9 @@ def kept(function: Callable[..., tuple[Any, ...]], *, rarely_run: bool = False) 
         return traced.lower(*arrays).compile(options)
 
     def find(tree: Any, shapes: tuple[Any, ...], static: Any) -> Callable[..., Any]:
-        with lock:  # threads wait for one compilation
+        # Threads wait for one compilation. The caller may be within a mesh; a program's
+        # arguments are on one device.
+        with lock, jax.set_mesh(_one_device()), jax.disable_jit(False):
             return program(tree, shapes, static, _flags())
 
     return Kept(find)
@@ -109,6 +112,11 @@ def default_device() -> jax.Device:
     if isinstance(chosen, jax.Device):
         return chosen
     return jax.local_devices(backend=chosen)[0]
+
+
+def _one_device() -> jax.sharding.Mesh:
+    kind = (jax.sharding.AxisType.Auto,)
+    return jax.make_mesh((1,), ("one",), axis_types=kind, devices=[default_device()])
 
 
 def _place(name: str, *facts: Any) -> Path | None:
