@@ -11,13 +11,23 @@ import numpy as np
 import pytest
 import tifffile
 from picture_files import save, smooth
-from PIL import ImageCms
+from PIL import Image, ImageCms
+from plain_objects import hemisphere
 
+from unips_jax import estimate_lights
 from unips_jax.errors import InputError
-from unips_jax.io.color import CURVES, as_linear, encoding_of, icc_curve, srgb_encode
+from unips_jax.io.color import (
+    CURVES,
+    as_linear,
+    encoding_of,
+    icc_curve,
+    icc_to_srgb,
+    srgb_encode,
+)
 from unips_jax.io.images import read_image, read_image_file, read_linear
 from unips_jax.io.photographs import read_capture, read_photographs
 from unips_jax.io.selection import select
+from unips_jax.lighting.light_files import base_color
 
 SRGB = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
 X = np.linspace(0, 1, 1024)
@@ -272,3 +282,88 @@ def test_photographs_encode_light_alike(tmp_path):
             read_capture(select(tmp_path))
     tagged_png(tmp_path / "b.png", smooth(np.uint16, 1), curves[0])
     assert len(read_capture(select(tmp_path)).images) == 2
+
+
+def rgb_profile(curve: bytes, *columns) -> bytes:
+    """A matrix profile: red, green and blue as XYZ under D50."""
+    bodies = {b"wtpt": (0.9642, 1, 0.8249)}
+    bodies |= dict(zip((b"rXYZ", b"gXYZ", b"bXYZ"), columns, strict=True))
+    parts = {
+        name: b"XYZ " + struct.pack(">I3i", 0, *(round(65536 * x) for x in xyz))
+        for name, xyz in bodies.items()
+    }
+    parts |= dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), curve)
+    start, tags, data = 132 + 12 * len(parts), b"", b""
+    for name, body in parts.items():
+        tags += struct.pack(">4sII", name, start + len(data), len(body))
+        data += body
+    head = bytearray(128)
+    head[:4] = struct.pack(">I", start + len(data))
+    head[8:12], head[12:24], head[36:40] = b"\2\x20\0\0", b"mntrRGB XYZ ", b"acsp"
+    head[68:80] = struct.pack(">3I", 0xF6D6, 0x10000, 0xD32D)
+    return bytes(head) + struct.pack(">I", len(parts)) + tags + data
+
+
+SRGB_CURVE = parametric(3, 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
+P3 = rgb_profile(
+    SRGB_CURVE,
+    (0.51512, 0.2412, -0.00105),
+    (0.29198, 0.69225, 0.04189),
+    (0.1571, 0.06657, 0.78407),
+)
+ADOBE = rgb_profile(
+    gamma_curve(563 / 256) + bytes(2),
+    (0.60974, 0.31111, 0.01947),
+    (0.20528, 0.62567, 0.06087),
+    (0.14919, 0.06322, 0.74457),
+)
+
+
+# A gamma of 2.2 is taken as sRGB's curve.
+@pytest.mark.parametrize(("icc", "levels"), [(P3, 1.1), (ADOBE, 5)])
+def test_colours_of_wide_profiles_are_a_colour_engines(icc, levels, tmp_path):
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(60, 200, (8, 8, 3), dtype=np.uint8)
+    path = tagged_png(tmp_path / "a.png", pixels, png_profile(icc))
+    image = Image.fromarray(pixels)
+    expected = ImageCms.profileToProfile(
+        image,
+        ImageCms.ImageCmsProfile(io.BytesIO(icc)),
+        ImageCms.createProfile("sRGB"),
+        renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
+    )
+    found = 255 * srgb_encode(read_linear(path))
+    np.testing.assert_allclose(found, np.asarray(expected), atol=levels)
+    assert np.abs(found - pixels).max() > 10
+    np.testing.assert_array_equal(read_image(path), pixels)  # what networks see
+    assert read_image_file(path).encoding.rule.endswith("colours of its own")
+    assert icc_to_srgb(SRGB) is None and icc_to_srgb(icc[:200]) is None
+
+
+def test_base_colours_are_srgb_whatever_the_photographs_profile_is(tmp_path):
+    normals, mask, _ = hemisphere(40)
+    lights = np.array(
+        [[0.5, 0.2, 0.8], [-0.6, 0.1, 0.7], [0, 0.7, 0.6], [0.1, -0.5, 0.9]]
+    )
+    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
+    paint = np.full((40, 40, 3), 0.5)
+    paint[:, 20:] = 0.5, 0.1, 0.1
+    cosine = np.maximum(np.einsum("hwk,nk->nhw", normals, lights), 0)
+    linear = cosine[..., None] * paint
+    matrix = icc_to_srgb(P3)
+    stored = srgb_encode(linear @ np.linalg.inv(matrix).T)
+    for index, image in enumerate(np.uint8(np.rint(255 * stored))):
+        tagged_png(tmp_path / f"{index}.png", image, png_profile(P3))
+    capture = read_capture(select(tmp_path), mask=mask)
+    given = capture.images, normals, mask
+    fit = estimate_lights(*given, guesses=lights, transfer=capture.transfer)
+    red = {}
+    for to_srgb in (None, capture.encoding.to_srgb):
+        color = base_color(*given, fit, transfer=capture.transfer, to_srgb=to_srgb)
+        patch = np.median(color[mask & (np.arange(40) >= 22)], axis=0)
+        red[to_srgb is None] = patch[0] / patch[1]
+    # Measured: 4.5, as of photographs in sRGB, and 3.3.
+    assert red[False] > 4.3 and red[True] < 3.8
+    save(tmp_path / "9.png", np.uint8(np.rint(255 * stored[0])))
+    (note,) = read_capture(select(tmp_path), mask=mask).notes
+    assert "profiles of other colours than 0.png's: 9.png; taken as its own" in note

@@ -168,3 +168,24 @@ def test_a_lamps_distance_is_in_widths_of_a_photograph():
     options = FolderOptions(reader="official", lamp_distance=2.0, lights=True)
     with pytest.raises(InputError, match="--lamp-distance: the authors' reader"):
         options.check()
+
+
+def test_another_objects_results_stay(folder, tmp_path, calls, capsys):
+    """Of folders of one name; the same photographs may have moved or be fewer."""
+    assert run(folder, "-o", tmp_path / "out") == 0
+    result = tmp_path / "out" / "pot" / "normals.npy"
+    before = result.read_bytes()
+    (tmp_path / "b").mkdir()
+    other = pot(tmp_path / "b")
+    for file in other.glob("L*"):
+        write(file, cv2.imread(str(file)) // 2)
+    assert run(other, "-o", tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert f"expected results of {other}, got those of {folder}" in error
+    assert error.count("\n") == 1 and result.read_bytes() == before
+    assert len(calls) == 1
+    assert run(other, "-o", tmp_path / "out", "--overwrite") == 0
+    # Taken anew in the same place it is the same object.
+    for file in other.glob("L*"):
+        write(file, cv2.imread(str(file)) // 2)
+    assert run(other, "-o", tmp_path / "out") == 0 and len(calls) == 3

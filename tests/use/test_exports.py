@@ -123,7 +123,9 @@ def test_the_command_writes_all_three(tmp_path):
     os.utime(folder / "normals.npy", (0, 0))  # a ZIP begins in 1980
     out = tmp_path / "out"
     arguments = [str(folder), "-o", str(out), "--export", "blender", "print", "archive"]
-    assert surface(arguments) == 0
+    assert surface([*arguments, "--mesh", "ply"]) == 0
+    mesh = trimesh.load(out / "mesh.ply", process=False)
+    assert (mesh.visual.vertex_colors[:, :3] == 99).all()
     model = trimesh.load(out / "cat.glb", force="mesh")
     assert model.visual.material.baseColorTexture.getpixel((24, 24))[0] == 99
     assert trimesh.load(out / "cat.stl").is_watertight

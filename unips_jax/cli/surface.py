@@ -124,11 +124,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     prior = None if options.prior is None else _prior(options.prior, size)
     exif = None if photograph is None else photograph.focal
     focal = focal_of(options.focal, exif, options.photograph)
-    colors = None
+    colors = _base_color(options, size)
     if photograph is not None:
         require_finite(photograph.path, photograph.pixels)
-        pixels = photograph.encoding.values(photograph.pixels)
-        colors = photograph_colors(pixels, transfer_of(photograph))
+        encoding = photograph.encoding
+        pixels = encoding.values(photograph.pixels)
+        colors = photograph_colors(pixels, transfer_of(photograph), encoding.to_srgb)
     names = (field.name for field in dataclasses.fields(SurfaceOptions))
     given = {name: getattr(options, name) for name in names} | {"focal": focal}
     start_jax()
@@ -164,6 +165,16 @@ def main(argv: Sequence[str] | None = None) -> None:
     print_line("wrote", f"{options.output}/: {', '.join([*written, RECORD])}")
 
 
+def _base_color(options: Options, size: tuple[int, ...]) -> np.ndarray | None:
+    """Colours of a folder of results that has some: `[H, W, 3]`, uint8, sRGB."""
+    path = options.normals / "base_color.png"
+    if not path.is_file():
+        return None
+    pixels = read_image_file(path).pixels
+    require_size(path, pixels.shape[:2], size)
+    return photograph_colors(pixels, "srgb")
+
+
 def _exports(
     options: Options,
     place: Path,
@@ -179,11 +190,8 @@ def _exports(
     scale = Scale(facts["focal_px"], facts["scale"], facts["unit"])
     made: dict[str, Any] = {}
     if "blender" in options.export:
-        base_color = options.normals / "base_color.png"
-        if base_color.is_file():
-            pixels = read_image_file(base_color).pixels
-            require_size(base_color, pixels.shape[:2], normals.shape[:2])
-            colors = photograph_colors(pixels, "srgb")
+        base_color = _base_color(options, normals.shape[:2])
+        colors = colors if base_color is None else base_color
         data, made["blender"] = blender_model(
             depth,
             normals,

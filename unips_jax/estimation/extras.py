@@ -111,6 +111,7 @@ def write_extras(
     """Writes what the options want into a folder; returns facts for the record."""
     facts: dict[str, Any] = {}
     images, mask, transfer = estimate.images, estimate.mask, estimate.transfer
+    to_srgb = estimate.to_srgb
     lights, confidence = estimate.extras
     if lights is not None:
         from unips_jax.lighting import light_files as files
@@ -120,11 +121,18 @@ def write_extras(
             files.write_lights(folder, list(estimate.record["images"]), lights)
         if options.base_color:
             color = files.base_color(
-                images, estimate.normals, mask, lights, transfer=transfer
+                images,
+                estimate.normals,
+                mask,
+                lights,
+                transfer=transfer,
+                to_srgb=to_srgb,
             )
             facts["base_color"] = files.write_base_color(folder, color)
         if options.rti:
-            fit = fit_texture_map(images, mask, lights, transfer=transfer)
+            fit = fit_texture_map(
+                images, mask, lights, transfer=transfer, to_srgb=to_srgb
+            )
             facts["rti"] = write_ptm(folder / "relight.ptm", fit)
             write_planes(folder, fit)
     if confidence is not None:

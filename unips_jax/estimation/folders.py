@@ -29,6 +29,7 @@ from unips_jax.io.record import (
     print_selection,
     same_inputs,
 )
+from unips_jax.io.record_schema import load_record
 from unips_jax.io.results import (
     RECORD,
     check_target,
@@ -127,14 +128,15 @@ def estimate_folder(
         selection = chosen_photographs(place, options)
         if place != folder:
             selection = dataclasses.replace(selection, source=folder)
-        if earlier is not None:
+        if not overwrite and (target / RECORD).is_file():
             reader = HashingReader(options.max_pixels)
             now = _input_record(selection, network, options, reader)
-            if same_inputs(earlier, now):
+            if earlier is not None and same_inputs(earlier, now):
                 if verbose:
                     title = selection.title
                     print(f"{title}: {target} is up to date; --overwrite makes it anew")
                 return _moved(earlier, now, target)
+            _require_same_object(target, now)
         if options.looks_for_mask and selection.mask_file is None:
             _require_no_mended_mask(target)
         estimate = estimate_selection(
@@ -156,6 +158,22 @@ def _moved(record: dict[str, Any], now: dict[str, Any], target: Path) -> dict[st
     record = {**record, **places}
     write_json(target / RECORD, record, indent=2)
     return record
+
+
+def _require_same_object(target: Path, now: dict[str, Any]) -> None:
+    """Refuses to replace results of another folder, if no photograph is the same."""
+    try:
+        before = load_record(target / RECORD)
+    except InputError:
+        return  # of no use any more
+    known, folder = before.get("images"), before.get("folder")
+    if not isinstance(known, dict) or not known or folder == now["folder"]:
+        return
+    if set(known.values()).isdisjoint(now["images"].values()):
+        raise InputError(
+            f"{target}: expected results of {now['folder']}, got those of {folder}; "
+            "choose another -o, or replace them by --overwrite"
+        )
 
 
 def _require_no_mended_mask(target: Path) -> None:
@@ -261,7 +279,10 @@ def estimate_selection(
             extras = look(progress=report)
     else:
         extras = look()
-    return Estimate(images, mask, transfer, found.normals, record, focal, extras)
+    to_srgb = None if capture.encoding is None else capture.encoding.to_srgb
+    return Estimate(
+        images, mask, transfer, found.normals, record, focal, extras, to_srgb
+    )
 
 
 def _known_lights(selection: Selection, options: FolderOptions) -> np.ndarray | None:

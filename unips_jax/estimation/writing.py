@@ -30,6 +30,7 @@ class Estimate:
     # in pixels, if there is a depth to write and its camera is not orthographic
     focal: float | None = None
     extras: Extras = Extras()  # lights and confidence, where they are wanted
+    to_srgb: np.ndarray | None = None  # see `Encoding`
 
 
 def write_estimate(
@@ -89,7 +90,9 @@ def _write_surface(
 
     colors = None
     if options.mesh:
-        colors = outputs.mean_colors(estimate.images, estimate.transfer)
+        colors = outputs.mean_colors(
+            estimate.images, estimate.transfer, estimate.to_srgb
+        )
     how = outputs.SurfaceOptions(focal=estimate.focal, mesh=options.mesh)
     facts = outputs.write_surface(
         place, estimate.normals, estimate.mask, how, colors=colors

@@ -11,6 +11,14 @@ from numpy.typing import DTypeLike
 Transfer = Literal["linear", "srgb"]
 
 _SAMPLES = 1024
+# Red, green and blue of sRGB as its profiles have them, XYZ under D50 in columns.
+_SRGB_XYZ = np.array(
+    [
+        [0.43607, 0.38515, 0.14307],
+        [0.22249, 0.71687, 0.06061],
+        [0.01392, 0.09708, 0.7141],
+    ]
+)
 _ALIKE = 0.01  # of linear light: sRGB and a gamma of 2.2 differ by 0.009 at most
 
 
@@ -26,15 +34,23 @@ class Encoding:
     """How a file's values encode light, and by which rule that is known.
 
     `table`: what integers are to be replaced by for the transfer function to hold.
+    `to_srgb`: what makes its linear colours sRGB's, `[3, 3]`; None where they are.
     """
 
     transfer: Transfer
     rule: str
     table: np.ndarray | None = None
+    to_srgb: np.ndarray | None = None
 
     def values(self, pixels: np.ndarray) -> np.ndarray:
         """A file's pixels as values for which the transfer function holds."""
         return pixels if self.table is None else self.table[pixels]
+
+    def has_colors_of(self, other: "Encoding") -> bool:
+        """Whether equal linear values are equal colours."""
+        if self.to_srgb is None or other.to_srgb is None:
+            return self.to_srgb is other.to_srgb
+        return bool(np.abs(self.to_srgb - other.to_srgb).max() < 0.02)
 
     def agrees(self, other: "Encoding") -> bool:
         """Whether equal values encode equal light."""
@@ -99,7 +115,12 @@ def encoding_of(
     """
     curve = icc_curve(icc)
     if curve is not None:
-        return _encoding(np.dtype(dtype), curve, "colour profile in the file")
+        found = _encoding(np.dtype(dtype), curve, "colour profile in the file")
+        to_srgb = icc_to_srgb(icc)
+        if to_srgb is None:
+            return found
+        rule = f"{found.rule}; colours of its own"
+        return dataclasses.replace(found, rule=rule, to_srgb=to_srgb)
     if icc:  # by tables, as of printers and of sRGB's own fourth version
         return Encoding("srgb", "colour profile in the file, taken as sRGB")
     if code:
@@ -123,17 +144,43 @@ def icc_curve(profile: bytes) -> np.ndarray | None:
     10.18.
     """
     try:
-        (count,) = struct.unpack_from(">I", profile, 128)
-        tags = {
-            name: (start, length)
-            for name, start, length in struct.iter_unpack(
-                ">4sII", profile[132 : 132 + 12 * count]
-            )
-        }
+        tags = _icc_tags(profile)
         start, length = tags.get(b"gTRC") or tags[b"kTRC"]
         return _tone_curve(profile[start : start + length])
     except (struct.error, KeyError, ValueError, ZeroDivisionError):
         return None
+
+
+def icc_to_srgb(profile: bytes) -> np.ndarray | None:
+    """Linear sRGB by a profile's linear RGB, `[3, 3]`, as of Adobe RGB, Display P3.
+
+    None where it has sRGB's colours or no such three, or is damaged. Source:
+    ICC.1:2022, 9.2 (rXYZMatrixColumn), 10.31.
+    """
+    try:
+        tags = _icc_tags(profile)
+        columns = [
+            struct.unpack_from(">3i", profile, tags[name][0] + 8)
+            for name in (b"rXYZ", b"gXYZ", b"bXYZ")
+        ]
+    except (struct.error, KeyError):
+        return None
+    matrix = np.linalg.solve(_SRGB_XYZ, np.transpose(columns) / 65536)
+    if np.abs(matrix - np.eye(3)).max() < 0.02 or np.abs(matrix).max() > 4:
+        return None
+    return matrix.astype(np.float32)
+
+
+def in_srgb(linear: np.ndarray, to_srgb: np.ndarray | None) -> np.ndarray:
+    """Linear colours `[..., 3]` as sRGB's, those beyond them clipped at 0."""
+    return linear if to_srgb is None else np.maximum(linear @ to_srgb.T, 0)
+
+
+def _icc_tags(profile: bytes) -> dict[bytes, tuple[int, int]]:
+    """Where a profile's tags are: start and length."""
+    (count,) = struct.unpack_from(">I", profile, 128)
+    entries = struct.iter_unpack(">4sII", profile[132 : 132 + 12 * count])
+    return {name: (start, length) for name, start, length in entries}
 
 
 def _tone_curve(tag: bytes) -> np.ndarray:

@@ -21,7 +21,7 @@ import OpenEXR
 
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
-from unips_jax.io.color import Encoding, Transfer, as_linear
+from unips_jax.io.color import Encoding, Transfer, as_linear, in_srgb
 from unips_jax.io.door import write_whole
 from unips_jax.io.formats import Damaged, Encoded, NotRead, decode, open_encoded
 
@@ -135,8 +135,11 @@ def read_linear(path: Path) -> np.ndarray:
 
 
 def linear_of(file: ImageFile, transfer: Transfer) -> np.ndarray:
-    """A file's linear light, `[H, W, 3]`, whose values encode it so."""
-    linear = as_linear(file.encoding.values(file.pixels), transfer)
+    """A file's linear light in sRGB's colours, `[H, W, 3]`; its values encode it so."""
+    encoding = file.encoding
+    linear = as_linear(encoding.values(file.pixels), transfer)
+    if linear.shape[2] == 3:
+        linear = in_srgb(linear, encoding.to_srgb)
     return np.broadcast_to(linear, (*linear.shape[:2], 3))
 
 

@@ -108,7 +108,7 @@ def read_capture(
         file = read(path)
         if stack is None:
             shape = file.pixels.shape[:2]
-            _require_room(selection, shape, max_pixels)
+            require_room(selection.title, len(selection.files), shape, max_pixels)
             inside = mask
             if inside is None:
                 inside = mask_for(selection, shape, read=read)
@@ -120,6 +120,11 @@ def read_capture(
         notes.append(
             f"other EXIF orientation than {stack.first.path.name}: "
             f"{', '.join(stack.turned)}; turned so that their edges fit"
+        )
+    if stack.colored:
+        notes.append(
+            f"colour profiles of other colours than {stack.first.path.name}'s: "
+            f"{', '.join(stack.colored)}; taken as its own, export all in one"
         )
     if mask is None:
         notes += stack.leave_out(whole=selection.mask_file is None)
@@ -147,9 +152,10 @@ class _Stack:
     ) -> None:
         self.first = dataclasses.replace(first, pixels=first.pixels[:0], alpha=None)
         self.mask = mask
-        self.encoding = (
-            first.encoding if transfer is None else Encoding(transfer, "--transfer")
-        )
+        self.encoding = first.encoding
+        if transfer is not None:
+            colors = first.encoding.to_srgb
+            self.encoding = Encoding(transfer, "--transfer", to_srgb=colors)
         table = self.encoding.table
         dtype = first.pixels.dtype if table is None else table.dtype
         self.images = np.empty((count, *mask.shape, 3), dtype)
@@ -157,6 +163,7 @@ class _Stack:
         self.opaque = np.ones(mask.shape, bool)
         self.given = transfer is not None
         self.turned: list[str] = []
+        self.colored: list[str] = []  # in other colours than the first
         self.cameras: list[str] = []
         self.exposures: list[float] = []
         self._size = 0
@@ -174,6 +181,8 @@ class _Stack:
                 f"{file.encoding.transfer} ones ({file.encoding.rule}); export all "
                 "photographs in the same way, or give --transfer"
             )
+        if not file.encoding.has_colors_of(self.encoding):
+            self.colored.append(file.path.name)
         self.cameras.append(file.header.camera)
         self.exposures.append(file.header.exposure)
         image = self.images[self._size]
@@ -214,11 +223,11 @@ class _Stack:
         return notes
 
 
-def _require_room(selection: Selection, shape: tuple[int, ...], limit: int) -> None:
-    count = len(selection.files)
+def require_room(title: object, count: int, shape: tuple[int, ...], limit: int) -> None:
+    """Refuses photographs that are too large together; `limit` is that of one."""
     if count * shape[0] * shape[1] > _FILES * limit:
         raise InputError(
-            f"{selection.title}: expected at most {_FILES * limit:,} pixels in all "
+            f"{title}: expected at most {_FILES * limit:,} pixels in all "
             f"photographs, got {count} of {_size(shape)} = "
             f"{count * shape[0] * shape[1]:,}; make them smaller, use --max-images, or "
             "raise --max-pixels"

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from unips_jax.io.color import Transfer, as_linear, srgb_encode
+from unips_jax.io.color import Transfer, as_linear, in_srgb, srgb_encode
 from unips_jax.io.door import write_json, write_whole
 from unips_jax.io.formats.raster import marked_srgb
 from unips_jax.io.images import encode_image, write_exr
@@ -91,11 +91,13 @@ def base_color(
     lights: Lights,
     *,
     transfer: Transfer = "linear",
+    to_srgb: np.ndarray | None = None,
 ) -> np.ndarray:
     """The base colour of every pixel, `[H, W, 3]`, float32, in [0, 1].
 
     The albedo that explains the photographs best, for matt surfaces, shadows and
-    highlights spared; up to one factor, and to the lights' common colour.
+    highlights spared; up to one factor, and to the lights' common colour. `to_srgb`:
+    see `Encoding`.
     """
     color = np.zeros((*mask.shape, 3), np.float32)
     mask = mask & (normals != 0).any(-1)
@@ -114,6 +116,7 @@ def base_color(
             place = place[0] + part.start, place[1]
             light = irradiance(lights, normals[place], place).astype(np.float32)
             color[part][inside] = robust_albedo(pixels, light, scales=scales)
+    color = in_srgb(color, to_srgb)
     if mask.any():
         color *= _BRIGHT / max(float(np.quantile(color[mask].max(-1), 0.99)), 1e-12)
     return np.clip(color, 0, 1)

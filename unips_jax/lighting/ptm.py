@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import simplejpeg
 
-from unips_jax.io.color import Transfer, as_linear, srgb_encode
+from unips_jax.io.color import Transfer, as_linear, in_srgb, srgb_encode
 from unips_jax.io.door import new_file, write_json, write_whole
 from unips_jax.lighting.light_fit import Lights, irradiance, strips
 from unips_jax.lighting.near import falloffs
@@ -56,6 +56,7 @@ def equalised(
     lights: Lights,
     white: float,
     index: Any = ...,
+    to_srgb: np.ndarray | None = None,
 ) -> np.ndarray:
     """Photographs `[N, ..., 3]` as if their lights were equally bright and white.
 
@@ -63,7 +64,8 @@ def equalised(
     becomes 1. `index` has taken the pixels from whole images, where lamps that are near
     are not equally bright.
     """
-    return srgb_encode(_evenly_lit(images, transfer, lights, index) / white)
+    linear = _evenly_lit(images, transfer, lights, index)
+    return srgb_encode(in_srgb(linear, to_srgb) / white)
 
 
 def _evenly_lit(
@@ -95,6 +97,7 @@ class TextureMap(NamedTuple):
     white: float  # linear value, in even light, that is shown as 1
     matrix: np.ndarray  # see `fit_matrix`
     sample: np.ndarray  # `[P, 3, 6]`, coefficients of some pixels
+    to_srgb: np.ndarray | None = None  # see `Encoding`
 
     def strips(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
         """Yields some rows, their mask, coefficients and the photographs' values."""
@@ -107,6 +110,7 @@ class TextureMap(NamedTuple):
                 self.lights,
                 self.white,
                 (rows + part.start, columns),
+                self.to_srgb,
             )
             yield part, inside, _coefficients(values, self.matrix), values
 
@@ -122,17 +126,19 @@ def fit_texture_map(
     lights: Lights,
     *,
     transfer: Transfer = "linear",
+    to_srgb: np.ndarray | None = None,
 ) -> TextureMap:
     """Fits a polynomial texture map; `lights` come from `estimate_lights`."""
     rows, columns = np.nonzero(mask)
     pick = np.random.default_rng(0).permutation(rows.size)[:20000]
     index = rows[pick], columns[pick]
     some = images[:, *index]
-    linear = _evenly_lit(some, transfer, lights, index)
+    linear = in_srgb(_evenly_lit(some, transfer, lights, index), to_srgb)
     white = max(float(np.quantile(linear, 0.995)) / _WHITE, 1e-12)
     matrix = fit_matrix(lights.directions)
-    sample = _coefficients(equalised(some, transfer, lights, white, index), matrix)
-    return TextureMap(images, mask, lights, transfer, white, matrix, sample)
+    values = equalised(some, transfer, lights, white, index, to_srgb)
+    sample = _coefficients(values, matrix)
+    return TextureMap(images, mask, lights, transfer, white, matrix, sample, to_srgb)
 
 
 def write_ptm(path: Path, fit: TextureMap) -> dict[str, float]:

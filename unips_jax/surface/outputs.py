@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.color import Transfer, as_float, as_linear, srgb_encode
+from unips_jax.io.color import Transfer, as_float, as_linear, in_srgb, srgb_encode
 from unips_jax.io.record import print_line
 from unips_jax.surface.depth_files import write_depth
 from unips_jax.surface.mesh import CUT, mesh_of_depth, write_mesh
@@ -41,22 +41,28 @@ def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float 
     return focal
 
 
-def photograph_colors(pixels: np.ndarray, transfer: Transfer) -> np.ndarray:
+def photograph_colors(
+    pixels: np.ndarray, transfer: Transfer, to_srgb: np.ndarray | None = None
+) -> np.ndarray:
     """A photograph as colours of a mesh: `[H, W, 3]`, uint8, sRGB."""
-    # Linear ones are scaled so that their brightest half a percent is white.
     linear = as_linear(pixels, transfer)
+    if linear.shape[2] == 3:
+        linear = in_srgb(linear, to_srgb)
+    # Linear ones are scaled so that their brightest half a percent is white.
     if transfer == "linear":
         linear = linear / max(float(np.quantile(linear, 0.995)), 1e-12)
     encoded = np.round(255 * srgb_encode(linear)).astype(np.uint8)
     return np.broadcast_to(encoded, (*pixels.shape[:2], 3))
 
 
-def mean_colors(images: np.ndarray, transfer: Transfer) -> np.ndarray:
+def mean_colors(
+    images: np.ndarray, transfer: Transfer, to_srgb: np.ndarray | None = None
+) -> np.ndarray:
     """`photograph_colors` of the photographs' mean."""
     mean = np.zeros(images.shape[1:], np.float32)
     for image in images:
         mean += as_float(image) / len(images)
-    return photograph_colors(mean, transfer)
+    return photograph_colors(mean, transfer, to_srgb)
 
 
 def print_surface(facts: dict[str, Any]) -> None:
