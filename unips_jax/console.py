@@ -40,6 +40,9 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
 
     @functools.wraps(main)
     def run(argv: Sequence[str] | None = None) -> int:
+        for name in ("stdout", "stderr"):
+            if getattr(sys, name) is None:  # closed, or there is no console
+                setattr(sys, name, open(os.devnull, "w"))  # noqa: PTH123, SIM115
         # What the terminal cannot show, such as names that are not Unicode, is escaped.
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")
@@ -258,9 +261,28 @@ def cache_compilations(folder: str | os.PathLike[str] | None = None) -> None:
     # Without a home folder, of the environment or the user's, nothing is kept.
     with contextlib.suppress(RuntimeError):
         place = _cache_folder() if folder is None else folder
+        _clear_halves(Path(place))
         jax.config.update("jax_compilation_cache_dir", os.fspath(place))
         jax.config.update("jax_compilation_cache_max_size", 2**30)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def _clear_halves(cache: Path) -> None:
+    """Removes what a full disk or a kill left: JAX would keep nothing more."""
+    from filelock import FileLock, Timeout
+
+    if not cache.is_dir():
+        return
+    # JAX holds this lock while it writes.
+    with (
+        contextlib.suppress(OSError, Timeout),
+        FileLock(cache / ".lockfile", timeout=1),
+    ):
+        for entry in cache.glob("*-cache"):
+            if not entry.with_name(
+                f"{entry.name.removesuffix('-cache')}-atime"
+            ).exists():
+                entry.unlink()
 
 
 def _cache_folder() -> Path:

@@ -16,6 +16,7 @@ from picture_files import (
     tiff_with_orientation,
     with_orientation,
 )
+from scipy.io import savemat
 
 from unips_jax.cli import main as cli
 from unips_jax.errors import InputError
@@ -38,6 +39,22 @@ def test_reads_what_was_stored(tmp_path, mask):
     np.testing.assert_array_equal(item.mask, expected)
     single = open_benchmark("folder", tmp_path / "shoe")
     assert len(single) == 1 and single[0].images.shape[1:3] == (20, 21)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".mat"])
+def test_truth_may_be_an_array(tmp_path, suffix):
+    mask, normals = data.sphere(9, 11)
+    for i in range(3):
+        data.write_image(tmp_path / "cup" / f"{i}.png", np.full((9, 11), 50, np.uint8))
+    path = tmp_path / "cup" / f"Normal_gt{suffix}"
+    np.save(path, normals) if suffix == ".npy" else savemat(path, {"n": normals})
+    item = open_benchmark("folder", tmp_path)[0]
+    np.testing.assert_array_equal(item.mask, mask)
+    np.testing.assert_allclose(item.normals, normals, atol=1e-6)
+    path.unlink()
+    np.save(tmp_path / "cup" / "normal.npy", normals[..., 0])
+    with pytest.raises(InputError, match=r"expected normals \[H, W, 3\], got \(9, 11"):
+        open_benchmark("folder", tmp_path)[0]
 
 
 def test_takes_the_focal_length_from_exif(tmp_path):

@@ -13,9 +13,10 @@ from picture_files import png, save, smooth
 from PIL import Image
 from tiff_writer import tiff
 
+from unips_jax.capture.unpack import unpacked
 from unips_jax.cli import main as cli
 from unips_jax.errors import InputError
-from unips_jax.io.images import MAX_PIXELS, read_image
+from unips_jax.io.images import MAX_PIXELS, read_image, read_image_file
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
 
@@ -252,3 +253,29 @@ def test_a_file_as_large_as_a_disk_is_not_read(tmp_path):
         file.truncate(1 << 40)
     with pytest.raises(InputError, match="got a file of 1,099,511,627,776 bytes"):
         read_image(path)
+
+
+def test_a_stack_has_the_limit_of_a_set(tmp_path):
+    pages = [{"pixels": smooth(np.uint8), "compression": "deflate"}] * 11
+    (tmp_path / "stack.tif").write_bytes(tiff(pages))
+    with (
+        pytest.raises(InputError, match="8,510 pixels in all .*11 of 37 x 23 = 9,361"),
+        unpacked(tmp_path / "stack.tif", max_pixels=851),
+    ):
+        pass
+
+
+def test_all_parts_of_an_exr_have_the_limit(tmp_path):
+    window = np.int32([0, 0]), np.int32([7, 7])
+    pixels = {
+        "a": {"RGB": np.zeros((8, 8, 3), "f4")},
+        "b": {"Z": np.zeros((99, 99), "f4")},
+    }
+    parts = [
+        OpenEXR.Part({"displayWindow": window}, channels, name)
+        for name, channels in pixels.items()
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
+    with pytest.raises(InputError, match=r"a\.exr: .*at most 9,000 pixels"):
+        read_image_file(tmp_path / "a.exr", max_pixels=9_000)
+    assert read_image_file(tmp_path / "a.exr", max_pixels=9_801).pixels.size == 192

@@ -212,3 +212,27 @@ def test_unips_into_a_closed_pipe_is_silent(option):
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
     os.close(write)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr"])
+def test_a_closed_stream_is_no_error(closed, monkeypatch, capsys):
+    monkeypatch.setattr(sys, closed, None)
+    assert command(lambda _: print("line"))() == 0
+
+    def refuses(_):
+        raise InputError("no")
+
+    assert command(refuses)() == 2
+
+
+def test_halves_of_compilations_are_removed(tmp_path):
+    """JAX writes two files for each; without the second it keeps nothing any more."""
+    for name in ("whole-cache", "whole-atime", "half-cache", "other"):
+        (tmp_path / name).write_bytes(b"x")
+    before = jax.config.jax_compilation_cache_dir
+    try:
+        cache_compilations(tmp_path)
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+    left = {path.name for path in tmp_path.iterdir()} - {".lockfile"}
+    assert left == {"whole-cache", "whole-atime", "other"}

@@ -1,5 +1,6 @@
 """Orientation from EXIF data."""
 
+import math
 import struct
 
 import numpy as np
@@ -16,6 +17,7 @@ from picture_files import (
 )
 
 from unips_jax.errors import InputError
+from unips_jax.io.formats.encoded import facts_of
 from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.official_photographs import read_official
 from unips_jax.io.photographs import read_capture, read_photographs
@@ -122,3 +124,9 @@ def test_damaged_exif_is_upright(tmp_path, block):
     path.write_bytes(jpeg[:2] + segment + jpeg[2:])
     file = read_image_file(path)
     assert (file.orientation, file.focal) == (1, None)
+
+
+@pytest.mark.parametrize("focal", [math.nan, math.inf, -1, "35", None])
+def test_a_focal_length_is_a_number_above_0(focal):
+    assert facts_of(1, focal, 1)["focal_35mm"] == 0
+    assert facts_of(1, 35, 1)["focal_35mm"] == 35

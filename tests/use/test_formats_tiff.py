@@ -1,5 +1,6 @@
 """TIFF files, as cameras and programs write them."""
 
+import contextlib
 import itertools
 
 import numpy as np
@@ -129,3 +130,14 @@ def test_cut_and_altered_tiffs(tmp_path, compression, tile):
     for length in range(0, len(data) - 1, 97):
         with pytest.raises(InputError, match=r"a\.tif: .*(empty|damaged)"):
             read(path, data[:length])
+
+
+@pytest.mark.parametrize("byte", range(8))
+def test_a_changed_byte_of_the_size_is_no_traceback(tmp_path, byte):
+    data = bytearray(tiff([{"pixels": smooth(np.uint8)}]))
+    entry = data.index(b"\x00\x01", 8)  # the width's tag
+    for bit in range(8):
+        changed = data.copy()
+        changed[entry + 2 + byte] ^= 1 << bit
+        with contextlib.suppress(InputError):
+            read(tmp_path / "a.tif", bytes(changed))

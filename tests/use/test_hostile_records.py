@@ -205,3 +205,14 @@ def test_what_older_versions_left_out_may_be_missing(result):
         write(result, {key: value for key, value in record.items() if key != name})
         assert read_record(result) is not None
         assert read_result(result).photographs == ()
+
+
+def test_names_may_have_what_the_system_takes(result):
+    """On Windows a backslash leads elsewhere; elsewhere it is a letter."""
+    record = good_record(result)
+    write(result, {**record, "images": {"cat\\p0.png": "0"}})
+    if os.name == "nt":
+        with pytest.raises(InputError, match="expected plain names"):
+            read_result(result)
+    else:
+        assert list(read_result(result).record["images"]) == ["cat\\p0.png"]

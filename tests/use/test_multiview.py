@@ -10,7 +10,7 @@ from picture_files import png_with_orientation
 
 from unips_jax.cli.multiview import main
 from unips_jax.io.cameras import read_sfm_data
-from unips_jax.io.images import read_image, turned, write_image
+from unips_jax.io.images import read_image, read_image_file, turned, write_image
 from unips_jax.io.normals import decode_normals, write_normals
 from unips_jax.io.orientation import normals_as_stored
 from unips_jax.io.results import file_hash, write_record
@@ -174,6 +174,8 @@ def test_results_are_turned_as_the_cameras_pictures(tmp_path, orientation, back)
         pictures = (tmp_path / n / name / "001.png" for n in ("out", "expected"))
         difference = np.subtract(*(read_image(p).astype(int) for p in pictures))
         assert np.abs(difference).max() <= 1  # 0 is halfway between two levels
+    color = read_image_file(tmp_path / "out" / "albedo" / "001.png")
+    assert color.encoding.transfer == "srgb"  # by its tag
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

@@ -340,3 +340,14 @@ def test_files_that_hold_no_normals_are_one_line(write, tmp_path):
     with pytest.raises(InputError) as caught:
         read_normal_map(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_part_of_a_cone_is_no_encoding():
+    """Its z is constant, and all of its numbers may be from 0 to 1."""
+    y, x = np.mgrid[1:60, 1:60].astype("f4")
+    angle, slope = np.arctan2(y, x), np.float32(0.6)
+    flank = np.stack([slope * np.cos(angle), slope * np.sin(angle)], -1)
+    normals = np.concatenate([flank, np.full((59, 59, 1), 0.8, "f4")], -1)
+    found = examine_normals(normals)
+    assert not found.mended
+    np.testing.assert_allclose(found.normals, normals, atol=1e-6)

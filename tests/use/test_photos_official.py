@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from unips_jax.errors import InputError
+from unips_jax.io.images import write_image
 from unips_jax.io.official_photographs import official_crop, read_official
 from unips_jax.io.selection import select
 
@@ -50,3 +52,17 @@ def test_no_crop_where_the_margin_touches_the_border(edges):
 def test_crop_is_clamped_to_the_image():
     rows, columns = official_crop(box(100, 40, 20, 79, 15, 24))
     assert (rows, columns) == (slice(16, 83), slice(0, 40))
+
+
+def test_what_would_be_squashed_can_be_refused(tmp_path):
+    for name in ("0.png", "1.png"):
+        write_image(tmp_path / name, np.full((32, 64, 3), 90, np.uint8))
+    whole = np.full((32, 64), 255, np.uint8)
+    write_image(tmp_path / "mask.png", whole)
+    assert read_official(select(tmp_path), size=32)[0].shape == (2, 32, 32, 3)
+    with pytest.raises(InputError, match="makes 64 x 32 pixels square, and no depth"):
+        read_official(select(tmp_path), size=32, keep_aspect=True)
+    whole[:, :24] = whole[:, -24:] = 0
+    whole[:8] = whole[-8:] = 0
+    write_image(tmp_path / "mask.png", whole)
+    read_official(select(tmp_path), size=32, keep_aspect=True)

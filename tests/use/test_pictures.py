@@ -38,3 +38,9 @@ def test_colours_are_those_of_matplotlib(name):
     share = np.linspace(0, 1, 1001)
     expected = matplotlib.colormaps[name](share)[:, :3]
     np.testing.assert_allclose(colours_of(share, name), expected, atol=0.5 / 255)
+
+
+def test_what_is_no_letter_is_a_gap():
+    expected = written("a b")
+    for code in (*range(0x20), *range(0x7F, 0xA0), 0x2028, 0x2029):
+        np.testing.assert_array_equal(written(f"a{chr(code)}b"), expected)

@@ -61,7 +61,7 @@ def answered(
             return JSONResponse({"code": code, "values": {}}, 507)
         except InputError as error:
             return JSONResponse({"error": str(error)}, 422)
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, RecursionError):
             return JSONResponse({"code": "failed", "values": {}}, 422)
 
     return answer
@@ -98,6 +98,8 @@ async def store_body(request: Request, path: Path, size: int, stalled_s: float) 
             except TimeoutError:
                 raise Refused(408, "lost") from None
             length += len(part)
+            if length > size:
+                raise Refused(400, "lost")
             file.write(part)
     if length != size:
         raise Refused(400, "lost")
@@ -110,11 +112,13 @@ def require_room(folder: Path, size: int = 0) -> None:
 
 
 def zipped(item: Object) -> Path:
-    """All results in one file, made when first asked for."""
+    """All results in one file, made again where the folder changed since."""
     target = Path(item.target)
     path = item.folder / "results.zip"
-    made = target / RECORD
-    if not path.exists() or path.stat().st_mtime < made.stat().st_mtime:
+    # The folder's own time tells of files that went.
+    there = (target / RECORD, target, *target.iterdir())
+    changed = max(file.stat().st_ctime for file in there)
+    if not path.exists() or path.stat().st_ctime < changed:
         with (
             new_file(path) as new,
             zipfile.ZipFile(

@@ -261,7 +261,9 @@ class Api:
 
 
 def _name(wanted: Any) -> str:
-    return (wanted if isinstance(wanted, str) else "")[:100] or "object"
+    text = wanted if isinstance(wanted, str) else ""
+    # Half of a surrogate pair could never be sent back.
+    return text.encode(errors="replace").decode()[:100] or "object"
 
 
 def _require_draft(item: Object) -> None:

@@ -185,14 +185,17 @@ class Desk:
 
     async def piece(self, item: Object, point: tuple[float, float]) -> None:
         """Puts the drawn mask, changed at a point, into `pictures/cut.png`."""
-        await self._gathering.call(
-            work.piece,
-            item.pictures / "picture.jpg",
-            item.drawn,
-            point,
-            item.pictures / "cut.png",
-            seconds=self.limits.looking_s,
-        )
+        try:
+            await self._gathering.call(
+                work.piece,
+                item.pictures / "picture.jpg",
+                item.drawn,
+                point,
+                item.pictures / "cut.png",
+                seconds=self.limits.looking_s,
+            )
+        except InputError as error:
+            raise InputError(without_folder(str(error), item.pictures)) from None
 
     # Estimates.
 

@@ -21,6 +21,7 @@ from unips_jax.io.formats.raster import marked_srgb
 from unips_jax.io.formats.tiff import count_pages, open_page
 from unips_jax.io.images import MAX_PIXELS, encode_image
 from unips_jax.io.naming import VIDEO_SUFFIXES
+from unips_jax.io.photographs import require_room
 from unips_jax.io.results import clear_leftovers, workspace
 
 KEYFRAMES = 12
@@ -130,6 +131,8 @@ def _pages(
             f"{path}: expected a folder of photographs, or a TIFF of several, got "
             f"one of {count}; give its folder, {path.parent}"
         )
+    size = pages[0].imagelength, pages[0].imagewidth
+    require_room(path, count, size, max_pixels)
     for index in range(count):
         page = pages[0 if stack is not None else index]
         _check_size(path, page.imagelength, page.imagewidth, max_pixels)

@@ -25,8 +25,15 @@ from unips_jax.io.cameras import (
     read_sfm_data,
     sfm_data_of,
 )
-from unips_jax.io.door import new_file, write_json
-from unips_jax.io.images import image_header, read_bytes, read_image, write_image
+from unips_jax.io.door import new_file, write_json, write_whole
+from unips_jax.io.formats.raster import marked_srgb
+from unips_jax.io.images import (
+    encode_image,
+    image_header,
+    read_bytes,
+    read_image,
+    write_image,
+)
 from unips_jax.io.normal_maps import read_normal_map
 from unips_jax.io.normals import encode_normals
 from unips_jax.io.orientation import normals_as_stored, turned_back
@@ -116,6 +123,8 @@ def _camera_of(folder: Path, cameras: list[Camera], sfm: Path) -> Camera:
 def _orientation(camera: Camera, folder: Path) -> int:
     """How EXIF turned the photographs: cameras are those of the pictures as stored."""
     record = load_record(folder / RECORD)
+    if "orientation" in record:
+        return record["orientation"]
     own = Path(record["folder"]) / next(iter(record["images"]))
     for path in (own, *map(Path, camera.photographs)):
         if path.is_file():
@@ -157,7 +166,8 @@ def _write(
         write_image(place / "mask" / name, mask.astype(np.uint8) * 255)
         if colors:
             color = turned_back(read_image(folder / "base_color.png"), turn)
-            write_image(place / "albedo" / name, color)
+            picture = marked_srgb(encode_image(".png", color))
+            write_whole(place / "albedo" / name, picture, sync=False)
     center, radius = enclosing_sphere(cameras, masks)
     arrays: dict[str, Any] = dict(idr_cameras(cameras, sizes, center, radius))
     with new_file(place / "cameras.npz") as file:

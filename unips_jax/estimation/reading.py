@@ -90,6 +90,7 @@ def read_and_look(
         capture = with_suggested_mask(capture)
     findings = check_capture(capture, selection.names, motion=motion, taken=taken)
     facts["findings"] = [finding.record() for finding in findings]
+    facts["orientation"] = capture.orientation
     facts["mask_contrast"] = capture.mask_contrast
     facts["mask_rule"] = capture.mask_rule
     facts["mask_suggested"] = bool(capture.mask_rule)
@@ -107,7 +108,10 @@ def _read(
     if options.reader == "official":
         size = options.size or 512
         whole = options.mask == "none"
-        images, mask, _ = read_official(selection, size=size, read=reader, whole=whole)
+        deep = options.all or options.depth or bool(options.mesh) or options.view
+        images, mask, _ = read_official(
+            selection, size=size, whole=whole, keep_aspect=deep, read=reader
+        )
         return Capture(images, mask, "linear", "the authors' reader")
     tracked: Any = functools.partial(track, description="reading photographs")
     return read_capture(

@@ -2,6 +2,7 @@
 
 import datetime
 import hashlib
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -94,10 +95,18 @@ def header_of(plan: Plan, command: str) -> Header:
         date=f"{now:%Y-%m-%d %H:%M} UTC",
         data=f"{plan.benchmark.name} in {plan.benchmark.root.resolve().name}, hash "
         f"{digest.hexdigest()}",
-        command=command.replace(str(Path.home()), "~"),
+        command=_shortened(command),
         version=f"{__version__}, code {code_hash('evaluation.publish')}",
         weights={label: str(hash_) for label, hash_ in weights.items() if hash_},
     )
+
+
+def _shortened(command: str) -> str:
+    """The command with the home folder as ~, where there is one."""
+    home = os.path.expanduser("~")  # noqa: PTH111 - which raises without one
+    if home in ("~", os.sep):
+        return command
+    return command.replace(home + os.sep, "~" + os.sep)
 
 
 def write_report(

@@ -98,6 +98,8 @@ def _full_scale(pixels: np.ndarray) -> float | None:
     full = next((x for x in (1.0, 255.0, 65535.0) if highest <= 1.001 * x), None)
     if full is None:
         return None
+    if _unit_share(pixels, _EXACT) > 0.9:
+        return None  # unit already, whatever their signs
     share = pixels / np.float32(full)
     encoded = 2 * share - 1
     if _blue_is_missing(encoded) and np.abs(np.median(encoded[:, :2])) < 0.3:

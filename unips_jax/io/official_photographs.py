@@ -27,13 +27,15 @@ def read_official(
     *,
     size: int = 512,
     whole: bool = False,
+    keep_aspect: bool = False,
     read: Callable[[Path], ImageFile] = read_image_file,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Reads photographs as the authors' reader does.
 
     With a `normal.tif` among the photographs, the mask of a folder without its own is
     where these normals have unit length, unless the `whole` image is asked for. A
-    training folder (photographs `0*` and `normal.tif`) is not cropped. Returns images
+    training folder (photographs `0*` and `normal.tif`) is not cropped. With
+    `keep_aspect` a crop that is not square is refused. Returns images
     `[N, size, size, 3]` (float32, linear RGB, mean 1 inside the mask, where no image
     may be black, and 0 outside), the mask, and the normals, as stored, or None.
     """
@@ -49,6 +51,13 @@ def read_official(
         mask = mask_for(selection, shape, read=read)
     training = normals is not None and selection.names[0].startswith("0")
     crop = (slice(None), slice(None)) if training else official_crop(mask)
+    height, width = mask[crop].shape
+    if keep_aspect and abs(height - width) > 1:
+        raise InputError(
+            f"{selection.title}: the authors' reader makes {width} x {height} pixels "
+            "square, and no depth fits that; leave out --reader official, or --depth, "
+            "--mesh and --view"
+        )
     small_mask = _resized(mask.astype(np.uint8)[crop], size) > 0
     images = np.zeros((len(selection.files), size, size, 3), np.float32)
     for i, (image, path) in enumerate(zip(images, selection.files, strict=True)):

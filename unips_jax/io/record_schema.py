@@ -14,6 +14,7 @@ from typing import Any, Literal
 from unips_jax.checks import require_type
 from unips_jax.errors import InputError
 
+_APART = "/\0\\" if os.name == "nt" else "/\0"  # what no name of a file has
 _LARGEST = 16_000_000  # bytes: ten thousand photographs need two million
 _FIELDS: dict[str, Any] = {
     "unips_jax": str,
@@ -30,6 +31,7 @@ _FIELDS: dict[str, Any] = {
     "weights": dict[str, Any],
     "surface": dict[str, Any] | None,
     "moved_back": dict[str, Any] | None,
+    "orientation": int,  # by EXIF, 1 to 8
     "warnings": list[str],
     "width": int,
     "height": int,
@@ -139,5 +141,5 @@ def _require_path(field: str, path: str) -> None:
 
 def _require_plain(field: str, name: str) -> None:
     _require_path(field, name)
-    if name in ("", ".", "..") or any(c in name for c in "/\\\0"):
+    if name in ("", ".", "..") or any(c in name for c in _APART):
         raise ValueError(f"{field}: expected plain names of files, got {name!r:.100}")

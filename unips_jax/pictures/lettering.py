@@ -2,12 +2,16 @@
 
 import functools
 import importlib.util
+import re
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 _Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
+_NO_LETTERS = re.compile(
+    r"[\x00-\x1f\x7f-\x9f\u2028\u2029]"
+)  # nor spaces: no font takes them
 _NO_CHARACTER = "\U0010ffff"  # what fonts draw for it, they draw for all that they lack
 # Looked for by name in the system's folders, when the first of all lacks a letter.
 _OTHERS = (
@@ -34,7 +38,7 @@ def write_line(
     draw = ImageDraw.Draw(image)
     x, y = place
     y += 0.36 * size  # from the middle of the letters to the line that they stand on
-    for font, run in _runs(text, size):
+    for font, run in _runs(_NO_LETTERS.sub(" ", text), size):
         draw.text((x, y), run, colour, font, anchor="ls")
         x += font.getlength(run)
     picture[:] = np.asarray(image)

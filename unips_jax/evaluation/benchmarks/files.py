@@ -85,7 +85,10 @@ def read_mat_normals(path: Path) -> np.ndarray:
     content = {
         key: value
         for key, value in _variables(path).items()
-        if isinstance(value, np.ndarray) and value.ndim == 3 and value.shape[2] == 3
+        if isinstance(value, np.ndarray)
+        and value.ndim == 3
+        and value.shape[2] == 3
+        and value.dtype.kind in "fiu"
     }
     named = [key for key in _NORMAL_NAMES if key in content] or list(content)
     if not named or (len(named) > 1 and named[0] not in _NORMAL_NAMES):

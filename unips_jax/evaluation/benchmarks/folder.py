@@ -12,10 +12,11 @@ from unips_jax.io.color import as_linear
 from unips_jax.io.images import ImageFile, decode_image, read_image_file
 from unips_jax.io.masks import read_mask
 from unips_jax.io.naming import natural_key
-from unips_jax.io.normals import normals_of, true_pixels
+from unips_jax.io.normals import normals_of, read_numbers, true_pixels
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.selection import SUFFIXES, Selection, folder_name, select
 
+_ARRAYS = (".npy", ".mat")
 _TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
 
 
@@ -23,9 +24,10 @@ class Folder(Benchmark):
     """Your own objects: photographs, a normal map, and a `mask.png` or none.
 
     Each object is a folder (ROOT itself, or the folders in it) with photographs of any
-    names and formats, `normal.*` (or `normals.*`, `Normal_gt.*`; PNG, TIFF, EXR) in the
-    convention x right, y up, z to the viewer, stored as (n + 1) / 2 in images of 8 or
-    16 bits and as n in floating point, and, where it is given, `mask.*`. Without a mask
+    names and formats, `normal.*` (or `normals.*`, `Normal_gt.*`; PNG, TIFF, EXR, or an
+    array in `.npy` or `.mat`) in the convention x right, y up, z to the viewer, stored
+    as (n + 1) / 2 in images of 8 or 16 bits and as n else, and, where it is given,
+    `mask.*`. Without a mask
     the object's pixels are those whose true normal has unit length (to 1e-3 in 16 bits
     or more, to 0.05 in 8). Photographs and mask are chosen and read as by
     `unips estimate` (see `io.photographs`), those of 8 bits taken as sRGB (store
@@ -47,7 +49,8 @@ class Folder(Benchmark):
         )
         if not folders:
             raise InputError(
-                f"{self.root}: expected a normal map `normal.*`, or folders with one"
+                f"{self.root}: expected a normal map `normal.*` (PNG, TIFF, EXR, .npy, "
+                ".mat), or folders with one"
             )
         for folder in folders:
             if not objects or folder_name(folder) in objects:
@@ -63,14 +66,13 @@ class Folder(Benchmark):
 
     def truth(self, entry: Entry) -> Truth:
         """Reads the true normals and the mask."""
-        file = read_image_file(entry.files[0], vectors=True)
-        normals = normals_of(file)
+        normals = _true_normals(entry.files[0])
         if len(entry.files) > 1:
             mask = read_mask(entry.files[1])
             if mask.shape != normals.shape[:2]:
                 raise InputError(
                     f"{entry.files[1]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
-                    f"{file.path.name} has {normals.shape[1]} x {normals.shape[0]}"
+                    f"{entry.files[0].name} has {normals.shape[1]} x {normals.shape[0]}"
                 )
         else:
             mask = true_pixels(normals)
@@ -121,10 +123,23 @@ def _read(entry: Entry, mask: np.ndarray, read: Callable[[Path], ImageFile]) -> 
     return read_capture(selection, read=read_fitting, mask=mask)
 
 
+def _true_normals(path: Path) -> np.ndarray:
+    suffix = path.suffix.lower()
+    if suffix not in _ARRAYS:
+        return normals_of(read_image_file(path, vectors=True))
+    values = files.read_mat_normals(path) if suffix == ".mat" else read_numbers(path)
+    if values.ndim != 3 or values.shape[2] != 3:
+        raise InputError(f"{path}: expected normals [H, W, 3], got {values.shape}")
+    if not np.isfinite(values).all():
+        raise InputError(f"{path}: expected finite numbers; store 0 off the object")
+    return values.astype(np.float32)
+
+
 def _truth_file(folder: Path) -> Path | None:
     found = sorted(
         p
         for p in folder.iterdir()
-        if p.stem.lower() in _TRUTH_STEMS and p.suffix.lower() in SUFFIXES
+        if p.stem.lower() in _TRUTH_STEMS
+        and p.suffix.lower() in SUFFIXES | set(_ARRAYS)
     )
     return found[0] if found else None

@@ -117,9 +117,10 @@ def facts_of(
 ) -> dict[str, Any]:
     """The fields of `Encoded` from values of three tags, whatever they are."""
     focal = focal_35mm if isinstance(focal_35mm, int | float) else 0
+    focal = focal if 0 < focal < math.inf else 0
     return {
         "orientation": orientation if orientation in range(1, 9) else 1,  # type: ignore[dict-item]
-        "focal_35mm": max(focal, 0),
+        "focal_35mm": focal,
         "srgb": colours == 1,
     }
 

@@ -56,7 +56,7 @@ def open_exr(data: bytes, *, vectors: bool = False) -> Encoded:
         len(names) in (2, 4),
         np.dtype(np.float32),
         decode,
-        allocated=_allocated(header),
+        allocated=max(map(_allocated, headers)),  # all parts are decoded
     )
 
 

@@ -97,6 +97,8 @@ def open_tiff(data: bytes) -> Encoded:
 def open_page(page: tifffile.TiffPage) -> Encoded:
     """Reads the tags of one page; see `open_tiff`."""
     _require_known(page)
+    if not all(isinstance(n, int) for n in (page.imagelength, page.imagewidth)):
+        raise Damaged("its size is no number")
     bits, samples = page.bitspersample, page.samplesperpixel
     colours = 3 if page.photometric == _RGB else 1
     has_alpha = _has_alpha(page, colours)
