@@ -42,7 +42,8 @@ def command(main: Callable[[Sequence[str] | None], None]) -> Command:
     def run(argv: Sequence[str] | None = None) -> int:
         for name in ("stdout", "stderr"):
             if getattr(sys, name) is None:  # closed, or there is no console
-                setattr(sys, name, open(os.devnull, "w"))  # noqa: PTH123, SIM115
+                nowhere = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
+                setattr(sys, name, nowhere)
         # What the terminal cannot show, such as names that are not Unicode, is escaped.
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")
