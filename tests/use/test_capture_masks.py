@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from estimate_runs import run
-from plain_objects import HARD, PLAIN, lights, photographs
+from plain_objects import HARD, PLAIN, hemisphere, lights, photographs
 
 from unips_jax.capture import masks
 from unips_jax.capture.grabcut import grabcut_mask, strokes
@@ -118,6 +118,25 @@ def test_holes_through_which_the_background_shows_are_open(name, radius):
     assert (
         overlap(mask, truth & ~hole) > 0.97 and (~mask & hole).sum() > 0.89 * hole.sum()
     )
+
+
+@pytest.mark.parametrize("paper", [0.8, 0.85])
+def test_white_on_white_is_no_hole(paper):
+    normals, inside, _ = hemisphere(150)
+    normals, inside = np.pad(normals, ((21, 21), (21, 21), (0, 0))), np.pad(inside, 21)
+    angle, high = (
+        np.arange(8) * np.pi / 4,
+        np.radians(50 + 15 * np.cos(np.arange(8) * 2.1)),
+    )
+    across = np.cos(high)
+    lamps = np.stack([across * np.cos(angle), across * np.sin(angle), np.sin(high)], -1)
+    lit = 0.8 * np.maximum(np.einsum("hwk,nk->nhw", normals, lamps), 0)
+    linear = np.where(inside, lit, paper * lamps[:, 2, None, None])
+    noise = np.random.default_rng(0).normal(0, 0.004, (*linear.shape, 3))
+    images = np.uint8(np.rint(255 * srgb_encode(0.95 * linear[..., None] + noise)))
+    mask, figure, rule = suggest_mask(images)
+    assert figure >= TRUSTED and rule == "salient object"
+    assert overlap(mask, inside) > 0.97
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,8 @@ def test_the_principal_point_is_the_middle_of_the_image():
 
 def test_a_prior_that_is_no_distance_is_unknown():
     prior = jnp.array([[2.0, 0.0, -3.0, jnp.nan, 8.0]])
-    known, shift = read_prior(prior, 0.5, jnp.ones((1, 5), bool), 10.0)
+    labels = jnp.zeros((1, 5), int)
+    known, shift = read_prior(prior, 0.5, jnp.ones((1, 5), bool), labels, 10.0)
     half = 10 * np.log(2)
     np.testing.assert_allclose(shift, 10 * np.log(4), rtol=1e-6)
     np.testing.assert_allclose(known.depth, [[-half, 0, 0, 0, half]], rtol=1e-5)
@@ -383,3 +384,19 @@ def test_depth_has_no_terraces(noise):
     other = integrate_image(normals.astype(np.float32), mask).depth[mask]
     difference = depth[mask] - other
     assert np.abs(difference - np.median(difference)).max() < 0.15
+
+
+def test_a_few_known_depths_hold_large_parts():
+    """At once, whatever holds parts without a prior."""
+    normals = np.zeros((300, 620, 3), np.float32)
+    normals[..., 2] = 1
+    mask = np.ones((300, 620), bool)
+    mask[:, 200:210] = mask[:, 410:420] = False
+    prior = np.full(mask.shape, np.nan, np.float32)
+    prior[150, 100], prior[150, 300] = 1000, 1200
+    for depth in (
+        integrate_image(normals, mask, prior=prior).depth,
+        np.asarray(integrate_normals(normals, mask, prior=prior, rounds=2)),
+    ):
+        for column, expected in ((50, 1000), (350, 1200), (600, 1100)):
+            assert depth[20, column] == pytest.approx(expected, abs=0.05)

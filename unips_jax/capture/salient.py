@@ -29,6 +29,7 @@ _ENCLOSED = 0.75  # of its rim is object: others are edges of the object in shad
 _NEARBY = 0.06  # of the longer side: whose colours count
 _ALIKE = 1.7  # standard deviations of the background
 _LEAST_VARIANCE = 4e-4  # of the background
+_MUCH = 0.3  # of the object
 _APART = 0.03  # of the object: more looks like background where their colours agree
 _ROWS = 512  # at a time
 
@@ -182,8 +183,11 @@ def _holes(brightest: np.ndarray, salient: np.ndarray) -> np.ndarray:
     for part in range(1, count):
         here = labels == part
         rim = cv2.dilate(here.astype(np.uint8), disc(2)).astype(bool) & ~here
-        enclosed = inside[rim].mean() > _ENCLOSED or np.median(salient[here]) < 0.7
-        if enclosed and stats[part, cv2.CC_STAT_AREA] >= _HOLE * inside.sum():
+        likely, share = np.median(salient[here]), here.sum() / inside.sum()
+        enclosed = inside[rim].mean() > _ENCLOSED or likely < 0.7
+        # Much of the object that surely is salient is white on white, no hole.
+        white = likely >= 0.9 and share > _MUCH
+        if enclosed and not white and share >= _HOLE:
             hole |= here
     if (alike & inside & ~hole).sum() > _APART * inside.sum():
         hole &= salient < 0.9

@@ -95,9 +95,13 @@ def integrate_image(
     column, row = middle if principal_point is None else principal_point
     camera = (focal, (column - box[1].start, row - box[0].start))
     there = np.where(inside[box][..., None], normals[box], 0).astype(np.float32)
+    padded = _padded(inside[box])
+    labels, islands = scipy.ndimage.label(padded)
+    labels = labels.astype(np.int32)
     stated, known, shift = _start(
         jnp.asarray(_padded(there)),
-        jnp.asarray(_padded(inside[box])),
+        jnp.asarray(padded),
+        jnp.asarray(labels),
         None if prior is None else jnp.asarray(_padded(prior[box].astype(np.float32))),
         prior_weight,
         *camera,
@@ -111,10 +115,7 @@ def integrate_image(
             progress(rounds / max_rounds)
         if change < _SETTLED:
             break
-    labels, islands = scipy.ndimage.label(_padded(inside[box]))
-    found = _finish(
-        depth_px, stated.inside, known, shift, labels.astype(np.int32), focal
-    )
+    found = _finish(depth_px, stated.inside, known, shift, labels, focal)
     crop = np.asarray(found)[: inside[box].shape[0], : inside[box].shape[1]]
     depth[box] = np.where(inside[box], crop, np.nan)
     if progress is not None:
@@ -146,13 +147,14 @@ def _padded(values: np.ndarray) -> np.ndarray:
 def _start(
     normals: jax.Array,
     inside: jax.Array,
+    labels: jax.Array,
     prior: jax.Array | None,
     prior_weight: float,
     focal: float | None,
     principal_point: tuple[float, float],
 ) -> tuple[Statements, Prior, jax.Array]:
     stated = statements(normals, inside, focal, principal_point)
-    known, shift = read_prior(prior, prior_weight, stated.inside, focal)
+    known, shift = read_prior(prior, prior_weight, stated.inside, labels, focal)
     return stated, known, shift
 
 

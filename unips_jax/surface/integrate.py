@@ -2,8 +2,9 @@
 
 Conventions, equations and source are those of `unips_jax.surface.equations`. They are
 solved by iteratively reweighted least squares, first with equal weights. Each round
-solves for the change of depth, with a faint spring added to every edge and every pixel:
-what the weights cut off entirely stays where it is, and the fixed point is the same.
+solves for the change of depth, with faint springs added to every edge, and to pixels of
+islands without a prior: what the weights cut off entirely stays where it is, and the
+fixed point is the same.
 """
 
 from typing import NamedTuple
@@ -35,14 +36,15 @@ SHARPNESS = 2.0  # k of the paper
 PRIOR_WEIGHT = 1e-4
 _SOLVE = Solve(tolerance=1e-5, max_steps=100)
 _FAINT = 1e-5  # stiffness added to every edge of the matrix, not of the equations
-_HELD = 1e-8  # the same of every pixel: rounding would carry islands far away
+_HELD = 1e-8  # the same of pixels that no prior holds: rounding would carry them away
 
 
 class Prior(NamedTuple):
-    """A known depth, in the equations' unknown; both `[H, W]`, 0 where unknown."""
+    """A known depth, in the equations' unknown; all `[H, W]`, 0 where unknown."""
 
     depth: jax.Array
     weight: jax.Array
+    held: jax.Array  # pull of pixels to where they are
 
 
 def integrate_normals(
@@ -97,7 +99,8 @@ def integrate_normals(
         column, row = (jnp.asarray(place, jnp.float32) for place in principal_point)
         principal_point = column, row
     stated = statements(normals, mask > 0, focal, principal_point)
-    known, shift = read_prior(prior, prior_weight, stated.inside, focal)
+    labels = label_islands(stated.inside)
+    known, shift = read_prior(prior, prior_weight, stated.inside, labels, focal)
 
     def advance(depth, sharpness):
         new = reweight(stated, known, depth, sharpness, _SOLVE)
@@ -105,7 +108,6 @@ def integrate_normals(
 
     sharpnesses = jnp.full(rounds + 1, sharpness, jnp.float32).at[0].set(0)
     depth, _ = jax.lax.scan(advance, jnp.zeros_like(stated.m), sharpnesses)
-    labels = label_islands(stated.inside)
     return finish(depth, stated.inside, known, shift, labels, focal)
 
 
@@ -127,12 +129,14 @@ def read_prior(
     prior: jax.Array | None,
     weight: jax.Array | float,
     inside: jax.Array,
+    labels: jax.Array,
     focal: jax.Array | float | None,
 ) -> tuple[Prior, jax.Array]:
     """A prior, NaN where unknown, as the equations' unknown of mean 0; and its mean."""
     if prior is None:
         nothing = jnp.zeros(inside.shape, jnp.float32)
-        return Prior(nothing, nothing), jnp.zeros((), jnp.float32)
+        held = jnp.full(inside.shape, _HELD, jnp.float32)
+        return Prior(nothing, nothing, held), jnp.zeros((), jnp.float32)
     prior, weight = (jnp.asarray(x, jnp.float32) for x in (prior, weight))
     known = inside & jnp.isfinite(prior)
     if focal is None:
@@ -141,7 +145,10 @@ def read_prior(
         known &= prior > 0
         depth = focal * jnp.log(jnp.where(known, prior, 1))
     shift = depth.sum() / jnp.maximum(known.sum(), 1)
-    return Prior(jnp.where(known, depth - shift, 0), jnp.where(known, weight, 0)), shift
+    weight = jnp.where(known, weight, 0)
+    _, pulled = island_means(weight, weight, labels)
+    held = jnp.where(pulled > 0, 0, _HELD)
+    return Prior(jnp.where(known, depth - shift, 0), weight, held), shift
 
 
 def reweight(
@@ -165,7 +172,7 @@ def reweight(
         stiffness.down * (asked.down - step.down),
     )
     force = balance(missing) + prior.weight * (prior.depth - depth)
-    springs = Springs(faint, prior.weight + _HELD)
+    springs = Springs(faint, prior.weight + prior.held)
     change = solve(springs, force, **until._asdict())
     return depth + change
 
