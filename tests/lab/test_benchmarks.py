@@ -75,6 +75,18 @@ def test_diligent_drops_nothing_of_a_bear_without_the_corrupt_images(tmp_path):
     assert benchmark.entries[0].images[0].name == "021.png" and item.notes == ()
 
 
+def test_of_a_thinned_out_bear_the_corrupt_images_go_by_their_numbers(tmp_path):
+    data.make_diligent(tmp_path, images=76, objects=("bear",))
+    folder = tmp_path / "pmsData" / "bearPNG"
+    for name in ("filenames.txt", "light_directions.txt", "light_intensities.txt"):
+        lines = (folder / name).read_text().splitlines(keepends=True)
+        (folder / name).write_text("".join(lines[::3]))
+    benchmark = open_benchmark("diligent", tmp_path, objects=("bear",))
+    names = [path.name for path in benchmark.entries[0].images]
+    assert names[0] == "022.png" and len(names) == 25
+    assert benchmark[0].notes == ("the first 7 images are corrupt: dropped",)
+
+
 def test_diligent_ignores_harvests_upside_down_text(tmp_path):
     data.make_diligent(tmp_path, objects=("harvest",), size=(13, 16))
     folder = tmp_path / "pmsData" / "harvestPNG"

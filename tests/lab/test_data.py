@@ -3,6 +3,8 @@
 import contextlib
 import dataclasses
 import itertools
+import multiprocessing
+import os
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +17,7 @@ import pytest
 from evaluation_data import encode16, to16, write_image
 from training_runs import CONFIG, write_objects
 
+from unips_jax.errors import InputError
 from unips_jax.io.ps_wild import PSWildFolders, read_object
 from unips_jax.training import batches, folders
 from unips_jax.training.sharding import make_mesh
@@ -69,6 +72,21 @@ def test_folders_are_found_through_links(root, tmp_path):
 
 def test_workers_read_the_same(root):
     assert_equal(read(root, 5, first=1, workers=2), read(root, 6)[1:])
+
+
+@pytest.mark.skipif(not hasattr(os, "setpgid"), reason="no groups of processes")
+def test_workers_are_not_of_the_jobs_group(root):
+    """A signal to all of the job is the training process' to answer."""
+    reading = folders.folder_batches(root, **OPTIONS, first=0, workers=1)
+    next(reading)
+    (worker,) = multiprocessing.active_children()
+    assert os.getpgid(worker.pid) == worker.pid != os.getpgid(0)
+    worker.kill()
+    with pytest.raises(
+        InputError, match=r"--data\.workers 1: a process that reads was"
+    ):
+        for _ in range(1000):
+            batches._next(reading, 1)
 
 
 def test_few_batches_are_read_ahead(root, monkeypatch):

@@ -5,12 +5,14 @@ import dataclasses
 import json
 
 import evaluation_data as data
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.io import loadmat
 
 from unips_jax.baselines.method import Estimated, Observed, Unsupported
 from unips_jax.cli import evaluate as evaluation
+from unips_jax.errors import InputError
 from unips_jax.evaluation import methods, protocols, publish, runner, summary
 from unips_jax.evaluation.benchmarks import open_benchmark
 from unips_jax.evaluation.plan import Plan, check_data, tasks_of
@@ -135,6 +137,24 @@ def test_an_oracle_chooses_signs_by_the_truth(ps_wild, tmp_path):
     tables = {table.name: table for table in summary.tables(results)}
     assert list(tables["measures"].values[0])[:2] == ["plain", "mirrors"]
     assert tables["measures"].values[0][-1] == 1
+
+
+@pytest.mark.parametrize("number", [np.float32(2), jnp.float32(2), np.int64(2), 2])
+def test_figures_of_ones_own_are_any_numbers(ps_wild, tmp_path, number):
+    def method(observed):
+        return Estimated(
+            observed.mask[..., None] * [0.0, 0, 1], {"a": number, "b": nan}
+        )
+
+    nan = float("nan")
+    mine = Variant("mine", {"method": "mine"}, method)
+    plan = plan_of(ps_wild, Recorder("flat"))._replace(variants=[mine])
+    results = results_of(plan, Store(tmp_path))
+    assert [r.measures for r in results.of("mine", None)][0] == {"a": 2.0}
+    wrong = mine._replace(run=lambda o: Estimated(method(o).normals, {"a": "x"}))
+    plan = plan._replace(variants=[wrong._replace(key={"method": "w"}, foreign=True)])
+    with pytest.raises(InputError, match="'mine': expected figures that are numbers"):
+        results_of(plan, Store(tmp_path))
 
 
 def test_an_oracle_needs_the_truth():

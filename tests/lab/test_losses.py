@@ -137,3 +137,23 @@ def test_the_frame_is_cropped_from_the_image(grid_loss):
     expected = loss(*square, frame="image")
     np.testing.assert_allclose(loss(*wide, frame="mask"), expected, rtol=1e-5)
     assert abs(loss(*wide, frame="image") - expected) > 1e-3
+
+
+@pytest.mark.parametrize("grid_loss", [True, False])
+@pytest.mark.parametrize("outside", [9.0, np.nan])
+def test_what_is_outside_the_mask_does_not_matter(outside, grid_loss):
+    """As a normal map's black background, which is read as (-1, -1, -1)."""
+    network = lively_network(ONE_STAGE)
+    rng = np.random.default_rng(0)
+    images = jnp.asarray(rng.random((1, 2, 32, 32, 3), np.float32))
+    mask = jnp.zeros((1, 32, 32), bool).at[:, 5:27, 9:24].set(True)
+    normals = jnp.where(mask[..., None], jnp.float32([0.6, 0, 0.8]), 0)
+    options = losses.LossOptions(num_pixels=20, grid_loss=grid_loss)
+
+    def loss(normals):
+        objects = losses.Objects(images, mask, normals)
+        keys = jax.random.split(jax.random.key(1), 1)
+        return losses.training_loss(network, objects, keys, options)[0]
+
+    other = jnp.where(mask[..., None], normals, outside)
+    assert float(loss(other)) == float(loss(normals))

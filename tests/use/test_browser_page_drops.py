@@ -322,3 +322,40 @@ def test_of_two_boxes_the_second_gives_the_mask(page, sets):
         f"return {SETTLED} && !unips.state.mask.some((v, i) => v && i % 240 < 115)",
     )
     assert overlap(mask_of(page, SIZE), right) > 0.9
+
+
+def test_of_two_tabs_the_first_keeps_its_work(page, sets):
+    first, url = page.current_window_handle, page.current_url
+    drop_and_wait(page, sets["left"][0])
+    until_kept(page, sets["left"][0])
+    page.switch_to.new_window("tab")
+    try:
+        page.get(url)
+        until(page, "return crossOriginIsolated && !!window.unips")
+        assert kept(page, "files") is None
+        drop_and_wait(page, sets["right"][0])
+        assert page.execute_script("return unips.state.photographs.length") == 3
+        page.find_element("id", "restart").click()
+    finally:
+        page.close()
+        page.switch_to.window(first)
+    assert kept(page, "files") == [path.name for path in sets["left"][0]]
+    reload(page)
+    names = page.execute_script("return unips.state.photographs.map((p) => p.name)")
+    assert names == [path.name for path in sets["left"][0]]
+
+
+def test_options_survive_a_reload(page, sets):
+    drop_and_wait(page, sets["left"][0])
+    until_kept(page, sets["left"][0])
+    page.execute_script("document.getElementById('choices').open = true")
+    for name, value in (("transfer", "linear"), ("side", "320")):
+        choice = Select(page.find_element("id", name))
+        next(o for o in choice.options if o.get_property("value") == value).click()
+    reload(page)
+    for name, value in (("transfer", "linear"), ("side", "320")):
+        assert page.find_element("id", name).get_property("value") == value
+    drop_and_wait(page, sets["right"][0])
+    until_kept(page, sets["right"][0])
+    reload(page)
+    assert page.find_element("id", "transfer").get_property("value") == "linear"

@@ -11,8 +11,21 @@ function database() {
   });
 }
 
+// Of several tabs the first keeps what it has; the others work as private windows do.
+// A reload may come before its page has gone: hence the second and a half.
+const first = !navigator.locks ? Promise.resolve(true) : new Promise((resolve) => {
+  const given = new AbortController();
+  const late = setTimeout(() => given.abort(), 1500);
+  navigator.locks.request(NAME, { signal: given.signal }, () => {
+    clearTimeout(late);
+    resolve(true);
+    return new Promise(() => {}); // held as long as the page lives
+  }).catch(() => resolve(false));
+});
+
 async function transact(mode, act) {
   let base;
+  if (!(await first)) return undefined;
   try {
     base = await database();
     return await new Promise((resolve, reject) => {

@@ -64,7 +64,7 @@ async function take(list, mask = null, again = false) {
     if (read.length) {
       shown = turn;
       stop();
-      if (!again) forget(); // what is kept is of other photographs
+      if (!again) forget().then(keepOptions); // what is kept is of other photographs
       Object.assign(state, { photographs, files, leftOut, result: null });
     } else state.files = [...state.files.filter((file) => !isMask(file.name)), ...masks];
     await show(maskFile, mask);
@@ -204,6 +204,11 @@ function stepNow() {
   return most ? Math.max(1, Math.ceil(Math.max(width, height) / most)) : 1;
 }
 
+const CHOICES = ["side", "transfer"];
+const optionsNow = () => Object.fromEntries(CHOICES.map((id) => [id, $(id).value]));
+const keepOptions = () => keep("options", optionsNow());
+for (const id of CHOICES) $(id).addEventListener("change", keepOptions);
+
 const toCompute = (inside) => linearImages(state.photographs, inside, transferOf(), stepNow());
 
 // `known`: normals of a run that was cut off.
@@ -221,8 +226,9 @@ async function estimate(known = null) {
     return;
   }
   let from = null; // when pixels began, and the share that was done
-  const options = { side: $("side").value, transfer: $("transfer").value };
+  const options = optionsNow();
   const right = known?.length === width * height * 3 ? known : null;
+  if (right) mask.forEach((there, i) => there || right.fill(0, 3 * i, 3 * i + 3)); // mended since
   keep("running", { options, normals: right });
   busy(true);
   try {
@@ -366,15 +372,12 @@ async function takeUp() {
   const files = await recall("files");
   if (!files?.length) return;
   const [mask, running, result] = [await recall("mask"), await recall("running"), await recall("result")];
+  const chosen = (running ?? result)?.options ?? (await recall("options")); // by 0.3.0: none
+  for (const id of CHOICES) if (chosen?.[id]) $(id).value = chosen[id];
   if (!(await take(files, mask ?? null, true))) return;
   if (running) {
-    $("side").value = running.options.side;
-    $("transfer").value = running.options.transfer;
     estimate(running.normals);
   } else if (result) {
-    const { side, transfer } = result.options ?? {}; // kept by version 0.3.0: none
-    if (side) $("side").value = side;
-    if (transfer) $("transfer").value = transfer;
     const { images } = result.images ? result : toCompute(leaveOut(state.mask.slice(), state.photographs, state.brightest));
     state.result = { ...result, images };
     showNormals(result.normals, result.mask, result.width, result.height, 1);

@@ -6,6 +6,7 @@ end.
 
 import copy
 import dataclasses
+import math
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -136,7 +137,7 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
         record["unsupported"] = " ".join(str(error).split())
         store.commit(task.name, record, None)
         return
-    record["measures"] = dict(measures)
+    record["measures"] = _numbers(variant, measures)
     if case.normals is not None:
         record["score"] = score(normals, case.normals, mask)._asdict()
         if variant.foreign and not variant.oracle:
@@ -147,6 +148,20 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
         surface = np.where(mask[..., None], normals, 0)
         record["integrability"] = integrability(surface)
     store.commit(task.name, record, unit_length(np.where(mask[..., None], normals, 0)))
+
+
+def _numbers(variant: Variant, measures: Mapping[str, Any]) -> dict[str, float]:
+    """A method's figures as JSON has them, without those that are not finite."""
+    try:
+        found = {str(name): float(value) for name, value in dict(measures).items()}
+    except (TypeError, ValueError):
+        if not variant.foreign:
+            raise
+        raise InputError(
+            f"method {variant.label!r}: expected figures that are numbers, got "
+            f"{measures!r:.100}"
+        ) from None
+    return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
 def estimate(variant: Variant, case: Case) -> Estimated:

@@ -10,6 +10,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jax.typing import ArrayLike
 
+from unips_jax.errors import InputError
 from unips_jax.models.config import SelfCalibratingConfig
 from unips_jax.scenes import load_meshes, render_batch
 from unips_jax.training.config import Config
@@ -58,7 +59,22 @@ def make_batches(
         if from_scenes(step):
             yield render(step)
         else:
-            yield jax.tree.map(place, next(folders))
+            yield jax.tree.map(place, _next(folders, data.workers))
+
+
+def _next(
+    folders: Iterator[dict[str, np.ndarray]], workers: int
+) -> dict[str, np.ndarray]:
+    try:
+        return next(folders)
+    except RuntimeError as error:
+        if "Worker process was terminated" not in str(error):
+            raise
+        raise InputError(
+            f"--data.workers {workers}: a process that reads was ended, as where "
+            "memory is short; the same command goes on from the last checkpoint, "
+            "also with fewer"
+        ) from None
 
 
 def scene_batch(

@@ -4,6 +4,7 @@ A batch follows from the seed and its number, whatever the number of processes a
 workers, so that a resumed run reads what it would have read.
 """
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -67,5 +68,14 @@ def folder_batches(
         from absl import flags
 
         flags.FLAGS.mark_as_parsed()
-        iterable = iterable.mp_prefetch(grain.MultiprocessingOptions(workers))
+        iterable = iterable.mp_prefetch(
+            grain.MultiprocessingOptions(workers),
+            worker_init_fn=_stand_apart,
+        )
     return iter(iterable)
+
+
+def _stand_apart(*_: int) -> None:
+    """Signals to all of a job are the training process' to answer: it saves first."""
+    if hasattr(os, "setpgid"):
+        os.setpgid(0, 0)

@@ -11,8 +11,9 @@ by), `mask.png` and, where the truth is public, `Normal_gt.mat` (key `Normal_gt`
 """
 
 import io
+import itertools
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -56,7 +57,7 @@ class Diligent(Benchmark):
                 root / f"{name}PNG", f"DiLiGenT's object {name}"
             )
             photographs = _listed_images(folder)
-            drop = _corrupt(name, len(photographs))
+            drop = _corrupt(name, photographs)
             if len(photographs) <= drop:
                 raise InputError(
                     f"{folder / 'filenames.txt'}: lists {len(photographs)} images, of "
@@ -71,7 +72,7 @@ class Diligent(Benchmark):
             )
 
     def truth(self, entry: Entry) -> Truth:
-        listed = len(_listed_images(entry.images[0].parent))
+        listed = _listed_images(entry.images[0].parent)
         truth = _read_truth(entry, skip=_corrupt(entry.name, listed))
         published = _MASK_PIXELS[entry.name]
         pixels = int(truth.mask.sum())
@@ -209,10 +210,13 @@ def _companions(folder: Path, *, truth: bool) -> tuple[Path, ...]:
     return tuple(folder / name for name in names)
 
 
-def _corrupt(name: str, listed: int) -> int:
+def _corrupt(name: str, listed: Sequence[Path]) -> int:
     """How many of the listed images are corrupt, the first; 0 if they are left out."""
-    corrupt = _CORRUPT.get(name, 0)
-    return 0 if listed == _IMAGES - corrupt else corrupt
+    last = _CORRUPT.get(name, 0)
+    if len(listed) == _IMAGES - last:
+        return 0
+    numbers = (int(path.stem) if path.stem.isdigit() else _IMAGES for path in listed)
+    return sum(1 for _ in itertools.takewhile(lambda number: number <= last, numbers))
 
 
 def _read_truth(entry: Entry, *, skip: int = 0) -> Truth:
