@@ -179,6 +179,26 @@ def test_estimate_writes_depth_and_mesh(tmp_path):
     assert select(out).names == ("photo.png",)
 
 
+def test_of_a_wire_all_is_written_but_the_mesh(tmp_path, capsys):
+    folder = tmp_path / "wire"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for index in range(2):
+        image = rng.integers(40, 200, (40, 44, 3), np.uint8)
+        cv2.imwrite(str(folder / f"{index}.png"), image)
+    row = np.zeros((40, 44), np.uint8)
+    row[20, 5:40] = 255
+    cv2.imwrite(str(folder / "mask.png"), row)
+    assert estimate([str(folder), "-o", str(tmp_path / "out"), "--mesh", "ply"]) == 0
+    warned = capsys.readouterr().err
+    assert "warning: no mesh: mesh.ply: expected a surface of more than" in warned
+    out = tmp_path / "out" / "wire"
+    names = {path.name for path in out.iterdir()}
+    assert {"normals.npy", "depth.exr"} <= names and "mesh.ply" not in names
+    record = json.loads((out / "normals.json").read_text())
+    assert any(text.startswith("no mesh: ") for text in record["warnings"])
+
+
 def test_focal_without_depth_is_refused(tmp_path, capsys):
     assert estimate([str(tmp_path), "-o", str(tmp_path / "o"), "--focal", "9"]) == 2
     assert "--focal: expected a depth to use it for" in capsys.readouterr().err

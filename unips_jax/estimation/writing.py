@@ -1,6 +1,7 @@
 """A folder's results on disk: normals, sheet, record, and what else is wanted."""
 
 import dataclasses
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -71,7 +72,9 @@ def write_estimate(
         if record["mask_suggested"]:
             write_image(place / "mask.png", estimate.mask.astype(np.uint8) * 255)
         if options.depth or options.mesh:
-            record["surface"] = _write_surface(place, estimate, options, verbose)
+            record["surface"] = _write_surface(
+                place, estimate, options, record["warnings"], verbose
+            )
         record |= write_extras(place, estimate, options)
         if options.view:
             _write_view(place, target, estimate, record)
@@ -84,9 +87,14 @@ def write_estimate(
 
 
 def _write_surface(
-    place: Path, estimate: Estimate, options: FolderOptions, verbose: bool
+    place: Path,
+    estimate: Estimate,
+    options: FolderOptions,
+    warnings: list[str],
+    verbose: bool,
 ) -> dict[str, Any]:
     from unips_jax.surface import outputs
+    from unips_jax.surface.mesh import NoTriangle
 
     colors = None
     if options.mesh:
@@ -94,9 +102,15 @@ def _write_surface(
             estimate.images, estimate.transfer, estimate.to_srgb
         )
     how = outputs.SurfaceOptions(focal=estimate.focal, mesh=options.mesh)
-    facts = outputs.write_surface(
-        place, estimate.normals, estimate.mask, how, colors=colors
-    )
+    shape = estimate.normals, estimate.mask
+    try:
+        facts = outputs.write_surface(place, *shape, how, colors=colors)
+    except NoTriangle as error:  # of a wire: all else is there
+        warnings.append(f"no mesh: {error}")
+        if verbose:
+            print(f"warning: {warnings[-1]}", file=sys.stderr)
+        how = dataclasses.replace(how, mesh=None)
+        facts = outputs.write_surface(place, *shape, how)
     if verbose:
         outputs.print_surface(facts)
     return facts

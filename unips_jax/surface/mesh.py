@@ -63,6 +63,10 @@ def mesh_of_depth(
     return Mesh(points, number[faces], pixels)
 
 
+class NoTriangle(InputError):
+    """A surface is too thin for a mesh."""
+
+
 def write_mesh(
     path: Path,
     mesh: Mesh,
@@ -82,9 +86,9 @@ def write_mesh(
 
     check_mesh_file(path)
     if not len(mesh.faces):
-        raise InputError(
-            f"{path}: expected a surface of more than single pixels, got no triangle; "
-            "give a larger mask or a larger --cut"
+        raise NoTriangle(
+            f"{path.name}: expected a surface of more than single pixels, got no "
+            "triangle; give a larger mask (`unips surface`: or a larger --cut)"
         )
     scale = METRES.get(unit, 1.0) if path.suffix == ".glb" else 1.0
     vertices, faces = mesh.vertices * np.float32(scale), mesh.faces
