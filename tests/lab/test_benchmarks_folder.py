@@ -51,7 +51,12 @@ def test_truth_may_be_an_array(tmp_path, suffix):
     item = open_benchmark("folder", tmp_path)[0]
     np.testing.assert_array_equal(item.mask, mask)
     np.testing.assert_allclose(item.normals, normals, atol=1e-6)
+    data.write_image(tmp_path / "cup" / "normals.png", data.to16((normals + 1) / 2))
+    assert open_benchmark("folder", tmp_path).entries[0].files[0].suffix == ".png"
+    (tmp_path / "cup" / "normals.png").unlink()
     path.unlink()
+    np.save(tmp_path / "cup" / "normal.npy", np.where(mask[..., None], normals, np.nan))
+    np.testing.assert_array_equal(open_benchmark("folder", tmp_path)[0].mask, mask)
     np.save(tmp_path / "cup" / "normal.npy", normals[..., 0])
     with pytest.raises(InputError, match=r"expected normals \[H, W, 3\], got \(9, 11"):
         open_benchmark("folder", tmp_path)[0]

@@ -5,6 +5,8 @@ import dataclasses
 import itertools
 import multiprocessing
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -87,6 +89,37 @@ def test_workers_are_not_of_the_jobs_group(root):
     ):
         for _ in range(1000):
             batches._next(reading, 1)
+
+
+PARENT = """
+import multiprocessing, sys, time
+sys.path[:0] = sys.argv[2:]
+from unips_jax.training import folders
+
+if __name__ == "__main__":
+    reading = folders.folder_batches(
+        sys.argv[1], size=16, batch_size=2, num_images=(2,), seed=0, first=0, workers=1
+    )
+    next(reading)
+    print(*(child.pid for child in multiprocessing.active_children()), flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="no list of processes")
+def test_workers_go_with_the_training_process(root, tmp_path):
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    command = [sys.executable, script, root, *sys.path]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        (worker,) = map(int, parent.stdout.readline().split())
+        parent.kill()
+    alive = Path(f"/proc/{worker}/status")
+    for _ in range(100):
+        if not alive.exists() or "State:\tZ" in alive.read_text():
+            return
+        time.sleep(0.1)
+    pytest.fail("a reading process outlives the training")
 
 
 def test_few_batches_are_read_ahead(root, monkeypatch):

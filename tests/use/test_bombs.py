@@ -259,7 +259,7 @@ def test_a_stack_has_the_limit_of_a_set(tmp_path):
     pages = [{"pixels": smooth(np.uint8), "compression": "deflate"}] * 11
     (tmp_path / "stack.tif").write_bytes(tiff(pages))
     with (
-        pytest.raises(InputError, match="8,510 pixels in all .*11 of 37 x 23 = 9,361"),
+        pytest.raises(InputError, match="at most 8,510 pixels in all pages, got 9,361"),
         unpacked(tmp_path / "stack.tif", max_pixels=851),
     ):
         pass

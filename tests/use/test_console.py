@@ -225,14 +225,22 @@ def test_a_closed_stream_is_no_error(closed, monkeypatch, capsys):
     assert command(refuses)() == 2
 
 
-def test_halves_of_compilations_are_removed(tmp_path):
+def test_halves_of_compilations_are_removed(tmp_path, monkeypatch):
     """JAX writes two files for each; without the second it keeps nothing any more."""
-    for name in ("whole-cache", "whole-atime", "half-cache", "other"):
-        (tmp_path / name).write_bytes(b"x")
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    ours, other = tmp_path / "unips_jax", tmp_path / "other"
+    for folder in (ours, other):
+        folder.mkdir()
+        for name in ("whole-cache", "whole-atime", "half-cache", "other"):
+            (folder / name).write_bytes(b"x")
     before = jax.config.jax_compilation_cache_dir
     try:
-        cache_compilations(tmp_path)
+        jax.config.update("jax_compilation_cache_dir", None)
+        cache_compilations()
+        cache_compilations(other)  # where other programs may keep theirs
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
-    left = {path.name for path in tmp_path.iterdir()} - {".lockfile"}
+    left = {path.name for path in ours.iterdir()} - {".lockfile"}
     assert left == {"whole-cache", "whole-atime", "other"}
+    assert len(list(other.iterdir())) == 4

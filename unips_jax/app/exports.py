@@ -12,7 +12,7 @@ from unips_jax.app.worker import Report
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
 from unips_jax.io.door import write_whole, writing
-from unips_jax.io.images import read_image_file
+from unips_jax.io.images import image_header, read_bytes, read_image_file
 from unips_jax.io.orientation import read_as_estimated
 
 SUFFIXES = {"blender": ".glb", "print": ".stl", "archive": ".zip"}
@@ -124,7 +124,11 @@ def _colors(
             pixels = read_as_estimated(path, record, max_pixels=max_pixels)
             _require(pixels.shape[:2] == shape[:2], results)
             mean += as_float(pixels) / len(chosen.photographs)
-        colors = photograph_colors(mean, record.get("transfer", "srgb"))
+        first = chosen.folder / chosen.photographs[0]  # whose colours hold
+        data = read_bytes(first, max_pixels=max_pixels)
+        encoding = image_header(data, first, max_pixels=max_pixels).encoding
+        transfer = record.get("transfer", "srgb")
+        colors = photograph_colors(mean, transfer, encoding.to_srgb)
     _require(colors.shape == shape, results)
     return colors
 

@@ -21,7 +21,6 @@ from unips_jax.io.formats.raster import marked_srgb
 from unips_jax.io.formats.tiff import count_pages, open_page
 from unips_jax.io.images import MAX_PIXELS, encode_image
 from unips_jax.io.naming import VIDEO_SUFFIXES
-from unips_jax.io.photographs import require_room
 from unips_jax.io.results import clear_leftovers, workspace
 
 KEYFRAMES = 12
@@ -30,6 +29,7 @@ KEYFRAMES = 12
 _LOOKED_AT = 300  # frames
 _MOST_FRAMES = 100_000  # of a video: an hour
 _MOST_PAGES = 4096  # of a TIFF
+_PAGES_TOGETHER = 10  # times the pixels that a photograph may have
 _MOST_BOXES = 1 << 26  # bytes of what describes a video
 _VIDEO = re.compile(
     rb"....(?:ftyp|moov|mdat|wide|free|skip)|RIFF....AVI |\x1a\x45\xdf\xa3|"
@@ -131,8 +131,14 @@ def _pages(
             f"{path}: expected a folder of photographs, or a TIFF of several, got "
             f"one of {count}; give its folder, {path.parent}"
         )
-    size = pages[0].imagelength, pages[0].imagewidth
-    require_room(path, count, size, max_pixels)
+    sizes = [page.imagelength * page.imagewidth for page in pages]
+    pixels_in_all = sum(sizes) if stack is None else count * sizes[0]
+    if pixels_in_all > _PAGES_TOGETHER * max_pixels:
+        raise InputError(
+            f"{path}: expected at most {_PAGES_TOGETHER * max_pixels:,} pixels in all "
+            f"pages, got {pixels_in_all:,}; raise --max-pixels, or save the pages that "
+            "are wanted as files"
+        )
     for index in range(count):
         page = pages[0 if stack is not None else index]
         _check_size(path, page.imagelength, page.imagewidth, max_pixels)

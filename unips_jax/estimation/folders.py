@@ -167,8 +167,11 @@ def _require_same_object(target: Path, now: dict[str, Any]) -> None:
     except InputError:
         return  # of no use any more
     known, folder = before.get("images"), before.get("folder")
-    if not isinstance(known, dict) or not known or folder == now["folder"]:
+    if not known or not folder:
         return
+    with contextlib.suppress(OSError, ValueError):
+        if Path(folder).samefile(now["folder"]):
+            return
     if set(known.values()).isdisjoint(now["images"].values()):
         raise InputError(
             f"{target}: expected results of {now['folder']}, got those of {folder}; "

@@ -108,7 +108,7 @@ def read_capture(
         file = read(path)
         if stack is None:
             shape = file.pixels.shape[:2]
-            require_room(selection.title, len(selection.files), shape, max_pixels)
+            _require_room(selection, shape, max_pixels)
             inside = mask
             if inside is None:
                 inside = mask_for(selection, shape, read=read)
@@ -223,11 +223,11 @@ class _Stack:
         return notes
 
 
-def require_room(title: object, count: int, shape: tuple[int, ...], limit: int) -> None:
-    """Refuses photographs that are too large together; `limit` is that of one."""
+def _require_room(selection: Selection, shape: tuple[int, ...], limit: int) -> None:
+    count = len(selection.files)
     if count * shape[0] * shape[1] > _FILES * limit:
         raise InputError(
-            f"{title}: expected at most {_FILES * limit:,} pixels in all "
+            f"{selection.title}: expected at most {_FILES * limit:,} pixels in all "
             f"photographs, got {count} of {_size(shape)} = "
             f"{count * shape[0] * shape[1]:,}; make them smaller, use --max-images, or "
             "raise --max-pixels"

@@ -4,7 +4,9 @@ A batch follows from the seed and its number, whatever the number of processes a
 workers, so that a resumed run reads what it would have read.
 """
 
+import multiprocessing
 import os
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -79,3 +81,11 @@ def _stand_apart(*_: int) -> None:
     """Signals to all of a job are the training process' to answer: it saves first."""
     if hasattr(os, "setpgid"):
         os.setpgid(0, 0)
+    training = multiprocessing.parent_process()
+    if training is not None:  # when it is gone no signal of the group ends this one
+
+        def leave() -> None:
+            training.join()
+            os._exit(1)
+
+        threading.Thread(target=leave, daemon=True).start()

@@ -130,16 +130,15 @@ def _true_normals(path: Path) -> np.ndarray:
     values = files.read_mat_normals(path) if suffix == ".mat" else read_numbers(path)
     if values.ndim != 3 or values.shape[2] != 3:
         raise InputError(f"{path}: expected normals [H, W, 3], got {values.shape}")
-    if not np.isfinite(values).all():
-        raise InputError(f"{path}: expected finite numbers; store 0 off the object")
-    return values.astype(np.float32)
+    there = np.isfinite(values).all(axis=-1, keepdims=True)
+    return np.where(there, values, 0).astype(np.float32)
 
 
 def _truth_file(folder: Path) -> Path | None:
-    found = sorted(
-        p
-        for p in folder.iterdir()
-        if p.stem.lower() in _TRUTH_STEMS
-        and p.suffix.lower() in SUFFIXES | set(_ARRAYS)
-    )
-    return found[0] if found else None
+    """The truth of a folder; a picture, where there are arrays beside it."""
+    named = sorted(p for p in folder.iterdir() if p.stem.lower() in _TRUTH_STEMS)
+    for suffixes in (SUFFIXES, _ARRAYS):
+        for path in named:
+            if path.suffix.lower() in suffixes:
+                return path
+    return None
