@@ -82,6 +82,7 @@ def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
     mask = draw("mask", (18, 24)) > -1
     normals = draw("normals", (18, 24, 3))
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals *= mask[..., None]  # what is outside does not count
 
     @jax.jit
     def contexts(network):

@@ -218,11 +218,13 @@ def test_unips_into_a_closed_pipe_is_silent(option):
 def test_a_closed_stream_is_no_error(closed, monkeypatch, capsys):
     monkeypatch.setattr(sys, closed, None)
     assert command(lambda _: print("line"))() == 0
+    opened = getattr(sys, closed)
 
     def refuses(_):
         raise InputError("no")
 
     assert command(refuses)() == 2
+    opened.close()
 
 
 def test_halves_of_compilations_are_removed(tmp_path, monkeypatch):
