@@ -281,9 +281,8 @@ def _clear_halves(cache: Path) -> None:
         FileLock(cache / ".lockfile", timeout=1),
     ):
         for entry in cache.glob("*-cache"):
-            if not entry.with_name(
-                f"{entry.name.removesuffix('-cache')}-atime"
-            ).exists():
+            name = entry.name.removesuffix("-cache")
+            if not entry.with_name(f"{name}-atime").exists():
                 entry.unlink()
 
 

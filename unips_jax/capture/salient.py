@@ -178,7 +178,7 @@ def _holes(brightest: np.ndarray, salient: np.ndarray) -> np.ndarray:
     alike = (_deviations(brightest, around) < _ALIKE) & (salient > 0.05)
     thick = disc(max(2, round(_RADIUS * max(salient.shape))))
     parts = cv2.morphologyEx(alike.astype(np.uint8), cv2.MORPH_OPEN, thick)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(parts)
+    count, labels = cv2.connectedComponents(parts)
     hole = np.zeros(salient.shape, bool)
     for part in range(1, count):
         here = labels == part
