@@ -145,13 +145,18 @@ def test_folders_of_others_are_left_alone(files, capsys):
     assert "got one with other files" in capsys.readouterr().err
 
 
-def test_estimate_writes_depth_and_mesh(tmp_path):
-    folder = tmp_path / "thing"
+def noise(folder):
+    """A folder of two photographs of nothing."""
     folder.mkdir()
     rng = np.random.default_rng(0)
     for index in range(2):
         image = rng.integers(40, 200, (40, 44, 3), np.uint8)
         cv2.imwrite(str(folder / f"{index}.png"), image)
+    return folder
+
+
+def test_estimate_writes_depth_and_mesh(tmp_path):
+    folder = noise(tmp_path / "thing")
     arguments = [str(folder), "-o", str(tmp_path / "out"), "--mesh", "obj"]
     assert estimate([*arguments, "--focal", "80", "--view"]) == 0
     out = tmp_path / "out" / "thing"
@@ -180,12 +185,7 @@ def test_estimate_writes_depth_and_mesh(tmp_path):
 
 
 def test_of_a_wire_all_is_written_but_the_mesh(tmp_path, capsys):
-    folder = tmp_path / "wire"
-    folder.mkdir()
-    rng = np.random.default_rng(0)
-    for index in range(2):
-        image = rng.integers(40, 200, (40, 44, 3), np.uint8)
-        cv2.imwrite(str(folder / f"{index}.png"), image)
+    folder = noise(tmp_path / "wire")
     row = np.zeros((40, 44), np.uint8)
     row[20, 5:40] = 255
     cv2.imwrite(str(folder / "mask.png"), row)
