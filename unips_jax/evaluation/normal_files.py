@@ -37,7 +37,7 @@ from unips_jax.evaluation.variants import (
 from unips_jax.io.color import as_linear
 from unips_jax.io.images import read_image_file
 from unips_jax.io.normal_values import OVERRULE, decode_values
-from unips_jax.io.normals import decode_normals, read_numbers, require_three_channels
+from unips_jax.io.normals import decode_normals, require_three_channels
 from unips_jax.provenance import code_hash
 
 # Those that lose least come first.
@@ -185,15 +185,11 @@ def read_any(path: Path) -> np.ndarray:
 
 def _stored(path: Path) -> np.ndarray:
     """The values of an array or an image, `[H, W, 3]`, in their own type."""
-    suffix = path.suffix.lower()
-    if suffix not in (".npy", ".mat"):
+    if path.suffix.lower() not in (".npy", ".mat"):
         file = read_image_file(path, vectors=True)
         require_three_channels(file)  # the background may be NaN
         return file.pixels
-    values = read_numbers(path) if suffix == ".npy" else files.read_mat_normals(path)
-    if values.ndim != 3 or values.shape[2] != 3:
-        raise InputError(f"{path}: expected normals [H, W, 3], got {values.shape}")
-    return values
+    return files.read_array_normals(path)
 
 
 def _plain(values: np.ndarray, path: Path) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io import normals
 
 _NORMAL_NAMES = ("Normal_est", "normals", "normal", "Normal", "N")
 
@@ -97,6 +98,15 @@ def read_mat_normals(path: Path) -> np.ndarray:
             f"{sorted(content)}"
         )
     return content[named[0]].astype(np.float32)
+
+
+def read_array_normals(path: Path) -> np.ndarray:
+    """Normals `[H, W, 3]` of a `.npy` or `.mat` file, as stored."""
+    is_mat = path.suffix.lower() == ".mat"
+    values = read_mat_normals(path) if is_mat else normals.read_numbers(path)
+    if values.ndim != 3 or values.shape[2] != 3:
+        raise InputError(f"{path}: expected normals [H, W, 3], got {values.shape}")
+    return values
 
 
 def _variables(path: Path) -> dict[str, Any]:

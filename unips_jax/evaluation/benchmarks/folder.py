@@ -12,7 +12,7 @@ from unips_jax.io.color import as_linear
 from unips_jax.io.images import ImageFile, decode_image, read_image_file
 from unips_jax.io.masks import read_mask
 from unips_jax.io.naming import natural_key
-from unips_jax.io.normals import normals_of, read_numbers, true_pixels
+from unips_jax.io.normals import normals_of, true_pixels
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.selection import SUFFIXES, Selection, folder_name, select
 
@@ -27,12 +27,12 @@ class Folder(Benchmark):
     names and formats, `normal.*` (or `normals.*`, `Normal_gt.*`; PNG, TIFF, EXR, or an
     array in `.npy` or `.mat`) in the convention x right, y up, z to the viewer, stored
     as (n + 1) / 2 in images of 8 or 16 bits and as n else, and, where it is given,
-    `mask.*`. Without a mask
-    the object's pixels are those whose true normal has unit length (to 1e-3 in 16 bits
-    or more, to 0.05 in 8). Photographs and mask are chosen and read as by
-    `unips estimate` (see `io.photographs`), those of 8 bits taken as sRGB (store
-    linear ones in 16). An object's photographs are read whole by the check too. The
-    focal length is taken from the first photograph's EXIF data, where it carries one.
+    `mask.*`. Without a mask the object's pixels are those whose true normal has unit
+    length (to 1e-3 in 16 bits or more, to 0.05 in 8). Photographs and mask are chosen
+    and read as by `unips estimate` (see `io.photographs`), those of 8 bits taken as
+    sRGB (store linear ones in 16). An object's photographs are read whole by the check
+    too. The focal length is taken from the first photograph's EXIF data, where it
+    carries one.
     """
 
     name = "folder"
@@ -124,12 +124,10 @@ def _read(entry: Entry, mask: np.ndarray, read: Callable[[Path], ImageFile]) -> 
 
 
 def _true_normals(path: Path) -> np.ndarray:
-    suffix = path.suffix.lower()
-    if suffix not in _ARRAYS:
+    """True normals `[H, W, 3]`, float32, 0 where an array has none."""
+    if path.suffix.lower() not in _ARRAYS:
         return normals_of(read_image_file(path, vectors=True))
-    values = files.read_mat_normals(path) if suffix == ".mat" else read_numbers(path)
-    if values.ndim != 3 or values.shape[2] != 3:
-        raise InputError(f"{path}: expected normals [H, W, 3], got {values.shape}")
+    values = files.read_array_normals(path)
     there = np.isfinite(values).all(axis=-1, keepdims=True)
     return np.where(there, values, 0).astype(np.float32)
 
