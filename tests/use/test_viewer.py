@@ -11,9 +11,12 @@ import cv2
 import known_results
 import numpy as np
 import pytest
+from colour_profiles import P3
 from picture_files import png, save, smooth, with_orientation
+from PIL import Image
 
 from unips_jax.cli.view import main as view
+from unips_jax.io.color import icc_to_srgb
 from unips_jax.io.images import write_image
 from unips_jax.io.orientation import read_as_estimated
 from unips_jax.io.photographs import read_capture
@@ -28,7 +31,7 @@ from unips_jax.viewer.page import (
     write_tiled_view,
     write_view,
 )
-from unips_jax.viewer.result import Photograph
+from unips_jax.viewer.result import Photograph, photographs_of, read_result
 
 ASSETS = Path(__file__).parents[2] / "unips_jax" / "viewer" / "assets"
 
@@ -205,6 +208,25 @@ def test_photographs_lie_as_they_were_estimated(tmp_path, orientation):
         np.testing.assert_array_equal(found, image)
 
 
+def test_photographs_of_a_wide_profile_are_shown_in_srgb(tmp_path):
+    """From files and from memory, as of an estimate."""
+    known_results.write_folder(tmp_path / "bowl", tmp_path / "photographs")
+    record = json.loads((tmp_path / "bowl" / "normals.json").read_text())
+    for path in (tmp_path / "photographs").iterdir():
+        Image.open(path).save(path, icc_profile=P3)
+        record["images"][path.name] = file_hash(path)
+    (tmp_path / "bowl" / "normals.json").write_text(json.dumps(record))
+    first, *_ = read_result(tmp_path / "bowl").photographs
+    matrix = icc_to_srgb(P3)
+    images = known_results.photographs()
+    kept, *_ = photographs_of(images, tuple(known_results.LIGHTS), "linear", matrix)
+    np.testing.assert_allclose(first.read(), kept.read(), atol=1e-6)
+    middle = np.unravel_index(images[0, ..., 0].argmax(), images.shape[1:3])
+    stored = images[0][middle] / 255
+    np.testing.assert_allclose(kept.read()[middle], matrix @ stored, atol=1e-6)
+    assert kept.read()[middle][0] > stored[0] + 0.02  # redder than it was stored
+
+
 @pytest.mark.parametrize("given", [None, "srgb"])
 def test_photographs_have_the_values_that_were_estimated_from(tmp_path, given):
     gamma = {b"gAMA": struct.pack(">I", 55556)}  # 1 / 1.8
@@ -337,3 +359,20 @@ def test_notes_stay_and_leave_the_results_whole(folder):
     assert notes_in(page_file) == notes
     page_file.write_text("damaged")
     assert notes_in(page_file) is None and notes_in(folder / "none.html") is None
+
+
+@pytest.mark.parametrize("tiles", [False, True])
+def test_notes_on_one_object_are_not_anothers(folder, tmp_path, capsys, tiles):
+    target = tmp_path / ("kept" if tiles else "kept.html")
+    command = [str(folder), "--flat", "-o", str(target), *["--tiles"] * tiles]
+    assert view(command) == 0
+    page_file = target / "index.html" if tiles else target
+    notes = {"notes": [{"place": [3, 4], "text": "a dent"}], "views": []}
+    other = dataclasses.replace(known_results.result(), title="a & <b>")
+    page_file.write_text(page(other, notes=notes))
+    capsys.readouterr()
+    assert view(command) == 2
+    assert "notes on a & <b>; name another" in " ".join(capsys.readouterr().err.split())
+    assert notes_in(page_file) == notes
+    page_file.write_text(page(other))
+    assert view(command) == 0  # without notes nothing is lost

@@ -20,6 +20,8 @@ from unips_jax.io.record import print_line
 from unips_jax.io.results import check_target
 from unips_jax.viewer.page import (
     FOLDER_RECORD,
+    notes_in,
+    title_in,
     with_depth,
     write_tiled_view,
     write_view,
@@ -62,12 +64,14 @@ def main(argv: Sequence[str] | None = None) -> None:
         raise InputError(f"--pixel-mm {options.pixel_mm}: expected a length above 0")
     result = read_result(options.result, options.photographs)
     result = dataclasses.replace(result, pixel_mm=options.pixel_mm)
+    page = target / "index.html" if options.tiles else target
+    if options.output is not None:
+        _check_notes(page, result.title)
     if result.depth is None and not options.flat:
         start_jax()
         result = with_depth(result)
     if options.tiles:
         count = write_tiled_view(target, result)
-        page = target / "index.html"
         print_line("wrote", f"{page} and {count} tiles: open it in a browser")
         return
     write_view(target, result)
@@ -88,6 +92,15 @@ def _target(options: Options) -> Path:
     if target.is_dir():
         raise InputError(f"-o {target}: expected a file, got a folder; name it")
     return target
+
+
+def _check_notes(page: Path, title: str) -> None:
+    """The notes that a page keeps are on the object that it shows."""
+    if notes_in(page) and title_in(page) != title:
+        raise InputError(
+            f"{page}: expected a new page, or one of {title}, got notes on "
+            f"{title_in(page)}; name another with -o, or delete this one"
+        )
 
 
 if __name__ == "__main__":

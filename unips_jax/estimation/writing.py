@@ -129,7 +129,7 @@ def _write_view(
     result = Result(
         target.name,
         estimate.normals,
-        photographs_of(estimate.images, names, estimate.transfer),
+        photographs_of(estimate.images, names, estimate.transfer, estimate.to_srgb),
         read_depth(place / "depth.exr") if surface else None,
         unit=surface.get("unit", "pixels"),
         focal=surface.get("focal_px"),

@@ -4,6 +4,7 @@ With tiles it is a folder: the page as `index.html`, and full resolution in `til
 """
 
 import dataclasses
+import html
 import json
 import re
 from importlib import resources
@@ -34,6 +35,7 @@ _LEAST_FOR_PHOTOGRAPHS = 400_000
 _SCRIPTS = (
     "data shaders detail scale mesh tiles stage light measure notes save input main"
 ).split()
+_TITLE = re.compile("<h1>(.*?)</h1>", re.S)
 _NOTES = re.compile('(<script type="application/json" id="notes">)(.*?)</script>', re.S)
 FOLDER_RECORD = "tiles.json"
 """By this file a folder of a page and its tiles is known."""
@@ -49,8 +51,8 @@ def write_tiled_view(folder: Path, result: Result) -> int:
     """Writes a page and tiles of all pixels; returns how many, 0 if none are needed."""
     notes = _notes_for(result, folder / "index.html")
     with appearing_at_once(folder, record=FOLDER_RECORD) as place:
-        html, view = _page(result, notes, tiled=True)
-        write_whole(place / "index.html", html.encode())
+        text, view = _page(result, notes, tiled=True)
+        write_whole(place / "index.html", text.encode())
         (place / "tiles").mkdir()
         count = tiles.write_tiles(place / "tiles", result, view)
         hashes = {"index.html": file_hash(place / "index.html")}
@@ -74,6 +76,15 @@ def notes_in(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return notes if isinstance(notes, dict) and notes else None
+
+
+def title_in(path: Path) -> str | None:
+    """The object that a page shows; None if there is no page."""
+    try:
+        found = _TITLE.search(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    return html.unescape(found.group(1)) if found else None
 
 
 def with_depth(result: Result) -> Result:

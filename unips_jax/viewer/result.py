@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from unips_jax.errors import InputError
-from unips_jax.io.color import Transfer, as_linear
+from unips_jax.io.color import Transfer, as_linear, in_srgb
 from unips_jax.io.images import (
+    image_header,
     linear_of,
     read_bytes,
     read_image_file,
@@ -57,13 +58,20 @@ class Result:
 
 
 def photographs_of(
-    images: np.ndarray, names: tuple[str, ...], transfer: Transfer
+    images: np.ndarray,
+    names: tuple[str, ...],
+    transfer: Transfer,
+    to_srgb: np.ndarray | None = None,
 ) -> tuple[Photograph, ...]:
     """Photographs `[N, H, W, 3]` that are in memory, uint8, uint16 or float32."""
+
+    def read(image: np.ndarray) -> np.ndarray:
+        return in_srgb(as_linear(image, transfer), to_srgb)
+
     return tuple(
         Photograph(
             name,
-            functools.partial(as_linear, image, transfer),
+            functools.partial(read, image),
             bright=transfer == "linear",
         )
         for name, image in zip(names, images, strict=True)
@@ -113,7 +121,8 @@ def _photographs(
     there = folder or ("folder" in record and Path(record["folder"]))
     if not there or "transfer" not in record:
         return ()
-    found = []
+    found: list[Photograph] = []
+    to_srgb = None
     for name, digest in record.get("images", {}).items():
         path = there / name
         try:
@@ -123,6 +132,8 @@ def _photographs(
                     f"{path}: expected the photograph that the normals are from, got "
                     "another; give --photographs, the folder of those"
                 )
+            if not found:  # the first, whose colours hold
+                to_srgb = image_header(data, path).encoding.to_srgb
         except InputError:
             if folder is not None:
                 raise
@@ -130,7 +141,7 @@ def _photographs(
         found.append(
             Photograph(
                 name,
-                functools.partial(_photograph, path, record, size),
+                functools.partial(_photograph, path, record, size, to_srgb),
                 bright=record["transfer"] == "linear",
             )
         )
@@ -142,10 +153,14 @@ def _photographs(
 
 
 def _photograph(
-    path: Path, record: dict[str, Any], size: tuple[int, ...]
+    path: Path,
+    record: dict[str, Any],
+    size: tuple[int, ...],
+    to_srgb: np.ndarray | None,
 ) -> np.ndarray:
     linear = as_linear(read_as_estimated(path, record), record["transfer"])
-    return np.broadcast_to(_of_size(path, linear, size), (*size, 3))
+    linear = np.broadcast_to(_of_size(path, linear, size), (*size, 3))
+    return in_srgb(linear, to_srgb)
 
 
 def _of_size(path: Path, values: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
