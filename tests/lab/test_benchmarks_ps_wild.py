@@ -1,5 +1,7 @@
 """PS-Wild's sets in their published and rendered layouts, to the pixel."""
 
+import json
+
 import evaluation_data as data
 import numpy as np
 import OpenEXR
@@ -26,6 +28,12 @@ def test_rendered_ps_wild_has_masks_lights_and_categories(tmp_path):
     np.testing.assert_allclose(
         item.lights.directions, data.lights(4, seed=1), atol=1e-6
     )
+    meta = tmp_path / "directional" / "obj001.data" / "meta.json"
+    colors = np.arange(1.0, 13).reshape(4, 3)
+    facts = json.loads(meta.read_text()) | {"light_intensities": colors.tolist()}
+    meta.write_text(json.dumps(facts))
+    item = data.by_name(open_benchmark("ps-wild", tmp_path))["directional/obj001"]
+    np.testing.assert_array_equal(item.lights.intensities, colors)
     assert items["mixed/obj001"].lights is None
     meta = tmp_path / "mixed" / "obj001.data" / "meta.json"
     meta.write_text('{"category": "", "shape": "ball"}')

@@ -93,13 +93,16 @@ def test_every_method_has_a_submission_of_its_own(tmp_path):
     store = Store(tmp_path)
     entries = runner.Result("NUT_AL", {}, [], "", None, 3, None, {}, "", "a")
     found = [dataclasses.replace(entries, label=label) for label in labels]
-    store.commit("a", {}, np.ones((2, 2, 3)))
+    normals = [[[0.6, -0.48, 0.64], [0, 0, 0]], [[0, 0.8, 0.6], [-1, 0, 0]]]
+    store.commit("a", {}, np.float32(normals))
     results = Results(
         "diligent102", "native", dict.fromkeys(labels, ""), (None,), found
     )
     folder = publish.write_submissions(store, results)
     names = sorted(path.parent.name for path in folder.glob("*/NUT_AL.mat"))
     assert len(names) == 5 and "mpm" in names
+    for path in folder.glob("*/NUT_AL.mat"):
+        np.testing.assert_allclose(loadmat(path)["Normal_est"], normals, atol=4e-5)
     alone = dataclasses.replace(results, methods={labels[1]: ""})
     publish.write_submissions(store, alone)  # has the same name in any run
     assert sorted(path.name for path in folder.iterdir()) == names

@@ -32,6 +32,24 @@ def test_names_on_sheets_are_no_formulas():
     assert imread(io.BytesIO(sheet(r"$5_$6_\frac", case_of(), panels))).ndim == 3
 
 
+def test_a_sheet_shows_each_methods_normals_and_errors():
+    """The truth, and the same mirrored, in red's share and in inferno."""
+    case = case_of()
+    mirrored = case.normals * np.float32([-1, 1, 1])
+    panels = [Panel("true", case.normals, 0.0), Panel("mirrored", mirrored, 9.0)]
+    picture = imread(io.BytesIO(sheet("x", case, panels)))[..., :3]
+
+    def at(column, row, share):
+        top, left = 0.42 + 1.88 * row + 0.28, 0.08 + 1.68 * column
+        return picture[round((top + 0.8) * 160), round((left + 1.6 * share) * 160)]
+
+    # Photographs and true normals come first; then a column for each method.
+    for column, red in ((0, 0.24), (1, 0.24), (2, 0.76)):
+        assert abs(at(column, 1, 0.25)[0] - red) < 0.05
+    assert at(1, 2, 0.25).max() < 0.1
+    assert at(2, 2, 0.25)[0] > 0.9 and at(2, 2, 0.5).max() < 0.2
+
+
 def test_sheet_without_truth_or_estimate():
     panels = [Panel("good", case_of().normals, None), Panel("lacking", None, None)]
     assert imread(io.BytesIO(sheet("x", case_of(normals=None), panels))).ndim == 3

@@ -1,8 +1,11 @@
 """The tables' figures, worked out by hand."""
 
+import csv
+
 from unips_jax.evaluation import runner, summary
 from unips_jax.evaluation.results import Results
 from unips_jax.evaluation.scores import Score
+from unips_jax.evaluation.tables import figures_csv
 
 
 def score_of(mae, median, *view):
@@ -120,3 +123,24 @@ def test_the_best_are_the_lowest_error_and_the_largest_share():
     }
     shares = [name for name in table.names if name.startswith("%")]
     assert best == {"a": shares, "b": ["sun", "Mean", "Median"], "c": []}
+
+
+def test_every_figure_has_its_name():
+    counts, sums = (2, 0, 5, 0, 0, 0), (8.0, 0, 50.0, 0, 0, 0)
+    score = Score(7, 50.0, 5.0, (1.0, 2.0, 3.0, 4.0), (), counts, sums, 6, 9)
+    entries = [result("x", "sun", "a", None, score)]
+    results = Results("mine", "native", {"a": ""}, (None,), entries)
+    _, *rows = csv.reader(figures_csv(results).decode().splitlines())
+    assert {row[-2]: float(row[-1]) for row in rows} == {
+        "mae_deg": 50,
+        "median_deg": 5,
+        "below_5_deg_percent": 1,
+        "below_11.25_deg_percent": 2,
+        "below_22.5_deg_percent": 3,
+        "below_30_deg_percent": 4,
+        "mae_seen_from_0_deg": 4,
+        "mae_seen_from_30_deg": 10,
+        "pixels": 7,
+        "pixels_without_truth": 6,
+        "pixels_without_estimate": 9,
+    }

@@ -227,3 +227,20 @@ def test_microbatches_have_the_whole_batch_gradient_in_less_memory():
     assert jnp.linalg.norm(other - expected) > 1e-3 * size
     memory = [run.memory_analysis().temp_size_in_bytes for run in (whole, parts)]
     assert memory[1] < 0.6 * memory[0], memory
+
+
+@pytest.mark.parametrize("name", ["adamw", "muon"])
+def test_gradients_are_clipped(name):
+    def moved(clip, *gradients):
+        config = OptimConfig(name=name, warmup_steps=0, clip_norm=clip, b2=0.9)
+        optimizer = make_optimizer(Config(optim=config, train=TrainConfig(steps=10)))
+        params = {"bias": jnp.ones(1)}
+        state = optimizer.init(params)
+        for gradient in gradients:
+            given = {"bias": jnp.full(1, gradient)}
+            updates, state = optimizer.update(given, state, params)
+        return float(updates["bias"][0])
+
+    shorter = moved(0, 0.1, 1.0)
+    assert moved(1.0, 0.1, 100.0) == pytest.approx(shorter, rel=1e-4)
+    assert moved(0, 0.1, 100.0) != pytest.approx(shorter, rel=0.01)

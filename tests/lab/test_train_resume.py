@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 
+import jax
 import numpy as np
 import pytest
 from small_networks import SHALLOW_OURS
@@ -25,6 +26,7 @@ from training_runs import (
 )
 
 from unips_jax.errors import InputError
+from unips_jax.weights import load_weights, weights_record
 
 
 @pytest.fixture(scope="module")
@@ -191,3 +193,32 @@ def test_other_configuration_is_refused(uninterrupted):
     optim = dataclasses.replace(config.optim, learning_rate=1e-3)
     with pytest.raises(InputError, match="learning_rate"):
         train(dataclasses.replace(config, optim=optim), workdir)
+
+
+def test_a_resumed_run_knows_its_best_and_what_it_began_with(
+    uninterrupted, tmp_path, monkeypatch
+):
+    from unips_jax.training import loop
+
+    errors = iter([30.0, 40.0, 50.0])
+    monkeypatch.setattr(
+        loop, "validate", lambda *_, **__: {"mae": next(errors), "constant": 60.0}
+    )
+    config, whole = uninterrupted
+    for steps in (4, 6):
+        times = dict(validate_every=2, validation_scenes=1, steps=steps)
+        train = dataclasses.replace(config.train, **times)
+        state = loop.train(dataclasses.replace(config, train=train), tmp_path)
+    assert weights_record(tmp_path / "best.safetensors")["step"] == 2
+    # What is released is the average.
+    released = load_weights(tmp_path / "last.safetensors").params
+    jax.tree.map(
+        np.testing.assert_array_equal, released, jax.device_get(state.ema_params)
+    )
+    pairs = zip(*map(jax.tree.leaves, (released, state.params)), strict=True)
+    assert any(np.any(average != last) for average, last in pairs)
+    others = str(whole / "last.safetensors")
+    with pytest.raises(InputError, match="began with, drawn ones"):
+        loop.train(
+            dataclasses.replace(config, train=train), tmp_path, init_weights=others
+        )

@@ -17,7 +17,7 @@ from unips_jax import estimate_normals
 from unips_jax.estimation import pure
 from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.models import chunks
-from unips_jax.models.network import encode
+from unips_jax.models.network import Encoding, encode, with_uniform_contexts
 from unips_jax.models.views import Views, canonical_images, square_frame
 
 
@@ -231,6 +231,16 @@ def test_uniform_contexts_differ(network):
     plain = estimate_normals(network, images, mask)
     uniform = estimate_normals(network, images, mask, uniform_contexts=True)
     assert abs(plain - uniform).max() > 1e-3
+    streamed = estimate_photographs(network, images, mask, uniform_contexts=True)
+    np.testing.assert_allclose(streamed, uniform, atol=2e-5)
+
+
+def test_uniform_contexts_are_the_mean_over_the_mask():
+    contexts = jnp.float32([[1, 2], [4, 9]]).reshape(1, 2, 2, 1, 1)
+    seen = jnp.zeros((1, 1, 4, 4, 4)).at[..., :2, :, 3].set(1)  # the upper half
+    encoding = Encoding(contexts, None, None, None)
+    found = with_uniform_contexts(encoding, Views(seen, None, None, None))
+    np.testing.assert_allclose(found.contexts, jnp.full((1, 2, 2, 1, 1), 1.5))
 
 
 @pytest.mark.parametrize(

@@ -31,9 +31,9 @@ def test_a_model_gives_back_every_pixels_normal(tmp_path):
     assert read.extents.max() == pytest.approx(1) == facts["longest_side"]
     assert facts["size"] == "scale unknown: the longest side is 1 m"
     material = read.visual.material
-    np.testing.assert_array_equal(
-        np.asarray(material.baseColorTexture.convert("RGB")), colors
-    )
+    inside = np.isfinite(depth)
+    found = np.asarray(material.baseColorTexture.convert("RGB"))
+    np.testing.assert_array_equal(found[inside], colors[inside])
     # As a renderer does: the frame between vertices, and the map's normal in it.
     content, accessor = read_glb(path)
     names = content["meshes"][0]["primitives"][0]["attributes"]
@@ -70,6 +70,54 @@ def test_a_known_scale_is_kept(tmp_path):
     assert read.extents.max() == pytest.approx(0.5 * 57, rel=0.05)
 
 
+def test_black_paint_is_no_hole_in_a_models_colours(tmp_path):
+    depth, normals, colors = rippled_dome()
+    colors = np.full_like(colors, 200)
+    colors[28:34, 28:34] = 0
+    colors[~np.isfinite(depth)] = 0
+    (tmp_path / "dome.glb").write_bytes(
+        blender_model(depth, normals, name="dome", colors=colors)[0]
+    )
+    read = trimesh.load(tmp_path / "dome.glb", force="mesh", process=False)
+    found = np.asarray(read.visual.material.baseColorTexture.convert("RGB"))
+    colors[~np.isfinite(depth)] = 200  # outside the surface the nearest one's
+    np.testing.assert_array_equal(found, colors)
+
+
+@pytest.mark.parametrize("focal", [None, 500.0])
+def test_a_model_does_not_bridge_jumps(focal):
+    """Two steps of 30 pixels, and a slope that falls as far over 32."""
+    depth = np.full((64, 96), 500, np.float32)
+    depth[:, 21:] -= 30
+    depth[:, 60:92] += np.linspace(0, 30, 32, dtype=np.float32)
+    depth[:, 92:] += 30
+    depth[43:] += 30
+    normals = np.broadcast_to(np.float32([0, 0, 1]), (*depth.shape, 3))
+    for cut, bridged in ((20.0, False), (40.0, True)):
+        data, _ = blender_model(
+            depth, normals, Scale(focal), name="steps", max_faces=500, cut=cut
+        )
+        read = trimesh.load(io.BytesIO(data), file_type="glb", force="mesh")
+        assert read.body_count == (1 if bridged else 4)
+
+
+@pytest.mark.parametrize("focal", [None, 90.0])
+def test_a_models_vertices_lie_on_their_rays(focal, tmp_path):
+    depth, normals, _ = rippled_dome()
+    depth = depth + 100
+    data, _ = blender_model(depth, normals, Scale(focal, 1.0, "m"), name="dome")
+    (tmp_path / "dome.glb").write_bytes(data)
+    content, accessor = read_glb(tmp_path / "dome.glb")
+    names = content["meshes"][0]["primitives"][0]["attributes"]
+    pixel = np.rint(accessor(names["TEXCOORD_0"]) * 64 - 0.5).astype(int)
+    column, row = pixel.T
+    away = depth[row, column]
+    size = away / focal if focal else 1
+    rays = np.stack([(column - 31.5) * size, (31.5 - row) * size, -away], -1)
+    off = accessor(names["POSITION"]) - rays
+    np.testing.assert_allclose(off, np.broadcast_to(off[0], off.shape), atol=1e-3)
+
+
 @pytest.mark.parametrize("focal", [None, 90.0])
 def test_a_print_is_watertight_and_stands_on_a_base(focal):
     depth, _, _ = rippled_dome()
@@ -86,6 +134,16 @@ def test_a_print_is_watertight_and_stands_on_a_base(focal):
     assert len(read.faces) == facts["faces"]
     base = read.vertices[:, 2] < read.bounds[0, 2] + 1e-4
     assert base.sum() == len(read.vertices) / 2
+
+
+def test_a_deep_print_is_as_long_as_it_says():
+    depth = np.broadcast_to(8.0 * np.abs(np.arange(30) - 15), (40, 30))
+    for longest in (None, 50.0):
+        data, facts = printable(depth.copy(), longest_mm=longest)
+        read = trimesh.load(io.BytesIO(data), file_type="stl")
+        assert read.extents.argmax() == 2
+        assert read.extents.max() == pytest.approx(longest or 100, rel=1e-5)
+        assert facts["longest_side"] == pytest.approx(longest or 100, rel=1e-5)
 
 
 def test_a_print_has_as_many_triangles_as_asked_for():

@@ -120,7 +120,10 @@ def test_photographs_that_were_converted_since(tmp_path):
 
 
 def test_lists_that_were_found_somewhere(shared_dir):
-    for folder in sorted((shared_dir / "cases/lp_not_quite_read").glob("lp_*")):
+    folders = sorted((shared_dir / "cases/lp_not_quite_read").glob("lp_*"))
+    if not folders:
+        pytest.skip(f"no lists in {shared_dir}")
+    for folder in folders:
         selection = select(folder)
         assert len(selection.files) == 8 and "wall.jpg" not in selection.names
         assert selection.left_out in ({}, {"not listed in lights.lp": ["wall.jpg"]})

@@ -18,6 +18,7 @@ from unips_jax.io.images import read_image
 from unips_jax.lighting.environment import blurred, glossy_light, sphere, turned
 from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
 from unips_jax.lighting.light_files import write_lights
+from unips_jax.lighting.reflectance import ggx
 
 NORMALS, MASK, _ = hemisphere(24)
 WHITE = Materials(jnp.ones(3), 0.5, 0.0, specular=0.0)
@@ -92,6 +93,39 @@ def test_a_small_bright_lamp_and_its_picture_light_alike():
         # Measured 0.017 and 0.043: the lobe is taken as seen head-on.
         facing = NORMALS[..., 2] > 0.4
         assert np.abs(exact - table)[facing].max() < tolerance * exact.max()
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (0, 1, 0), (0, -1, 0), (1, 0, 0)])
+def test_a_small_lamp_in_a_large_picture_loses_no_light(axis):
+    """Behind the camera, where the picture's ends meet, and at its poles, too."""
+    directions, solid = sphere(128, 256)
+    inside = directions @ jnp.float32(axis) > np.cos(np.radians(3))
+    power = float((inside * solid).sum())
+    around = (inside * np.pi / power)[..., None] * jnp.ones(3)
+    facing = jnp.float32([[axis]])
+    image = relight(facing, WHITE, environment=around)
+    np.testing.assert_allclose(image, 1, atol=0.01)  # 0.81 to 1.7 by plain resizing
+
+
+@pytest.mark.parametrize("roughness", [0.03, 0.05, 0.1, 0.3])
+def test_a_mirror_under_a_lamp_loses_no_light(roughness):
+    """Seen from above, half vectors all around: what is not lost is 1."""
+    angle = jnp.linspace(0, 1, 40_000) ** 3 * (np.pi / 4)  # of the half vector
+    light = 2 * angle
+    n_l, one = jnp.cos(light), jnp.ones_like(angle)
+    lobe = ggx(jnp.cos(angle), n_l, one, one * roughness**2)
+    whole = jnp.trapezoid(2 * np.pi * jnp.sin(light) * lobe * n_l, light)
+    assert float(whole) == pytest.approx(1, abs=0.03 if roughness < 0.3 else 0.1)
+
+
+def test_harmonics_are_in_the_order_that_is_stated():
+    """In `lights.json`: 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2."""
+    x, y, z = 0.48, 0.6, 0.64
+    stated = [1, y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y]
+    scale = np.sqrt(np.array([1, 3, 3, 3, 15, 15, 1.25, 15, 3.75]) / (4 * np.pi))
+    np.testing.assert_allclose(
+        harmonics(np.array([x, y, z])), scale * stated, rtol=1e-6
+    )
 
 
 def test_harmonics_are_orthonormal_and_give_irradiance():
@@ -258,6 +292,18 @@ def test_command_takes_an_environment_and_a_colour(result, tmp_path):
     assert main([str(result), *out, *given]) == 0
     image = cv2.imread(str(tmp_path / "out" / "relit.png")).astype(int)
     assert image[12, 4, 2] > image[12, 20, 2] + 50
+    # What is behind comes to the left, counter-clockwise as seen from above.
+    around[:], around[:, 16] = 0, 5
+    cv2.imwrite(str(tmp_path / "around.hdr"), around)
+    given, levels = [*given[:3], "90"], []
+    for stops in ("0", "-1"):
+        assert main([str(result), *out, *given, "--exposure", stops]) == 0
+        linear = read_image(tmp_path / "out" / "relit.exr")
+        picture = as_linear(read_image(tmp_path / "out" / "relit.png"), "srgb")
+        np.testing.assert_allclose(picture, np.clip(linear, 0, 1), atol=0.006)
+        assert linear[12, 4, 1] > 2 * linear[12, 20, 1]
+        levels.append(linear)
+    np.testing.assert_allclose(levels[1], levels[0] / 2, rtol=1e-4, atol=1e-6)
 
 
 def test_command_takes_the_lights_of_photographs(result, tmp_path):

@@ -199,6 +199,7 @@ def _exports(
             name=name,
             colors=colors,
             max_faces=options.max_faces,
+            cut=options.cut,
             directx=options.directx,
         )
         write_whole(place / f"{name}.glb", data, sync=False)

@@ -85,8 +85,8 @@ def ggx(n_h: Array, n_l: Array, n_v: Array, alpha: Array) -> Array:
     squared. In 1/sr, to be multiplied by Fresnel and n_l.
     """
     a2 = alpha * alpha
-    d = n_h * n_h * (a2 - 1) + 1
-    distribution = a2 / (math.pi * d * d + 1e-9)
+    d = jnp.maximum(n_h * n_h * (a2 - 1) + 1, a2)  # less by rounding alone
+    distribution = a2 / (math.pi * d * d)
     light = n_v * jnp.sqrt(n_l * n_l * (1 - a2) + a2)
     viewer = n_l * jnp.sqrt(n_v * n_v * (1 - a2) + a2)
     return distribution * 0.5 / (light + viewer + 1e-6)

@@ -18,7 +18,7 @@ import scipy.sparse.csgraph
 from unips_jax.errors import InputError
 from unips_jax.io.images import encode_image
 from unips_jax.surface.gltf import GltfMesh, encode_glb
-from unips_jax.surface.mesh import METRES, Mesh, mesh_of_depth
+from unips_jax.surface.mesh import CUT, METRES, Mesh, mesh_of_depth
 
 _FACES, _PRINTED_FACES = 100_000, 1_000_000
 _BASE = 0.04  # of the longest side
@@ -43,6 +43,7 @@ def blender_model(
     name: str,
     colors: np.ndarray | None = None,
     max_faces: int | None = None,
+    cut: float = CUT,
     directx: bool = False,
     longest_mm: float | None = None,
 ) -> tuple[bytes, dict[str, Any]]:
@@ -53,31 +54,35 @@ def blender_model(
 
     Args:
         max_faces: of the grid, 100,000 if not given.
+        cut: triangles over jumps of depth of more than so many pixels are left out.
         directx: green is down in the normal map.
         longest_mm: the object's longest side, instead of the scale.
     """
     height, width = depth.shape
     step = max(2, _step(depth, max_faces or _FACES))
     small = _grid(depth, step)
+    small = _of_faces(small, ~_over_jumps(depth, small, scale, cut, step))
     _require_faces(small)
     pixels = small.pixels
     points = _points(depth, pixels, scale)
     points, facts = _sized(points, scale.unit, "m", longest_mm)
     # What the map is relative to, at the vertices and between them.
-    smooth = _filled(normals)
-    smooth = cv2.blur(smooth, (2 * step + 1, 2 * step + 1))
+    normals = _filled(normals, ~(normals != 0).any(-1))
+    smooth = cv2.blur(normals, (2 * step + 1, 2 * step + 1))
     across = _unit(_stretched(smooth[::step, ::step], step, (height, width)))
     at = across.reshape(-1, 3)[pixels]
     tangents = np.concatenate([_tangents(at), np.ones((len(at), 1))], -1)
     places = np.stack([pixels % width + 0.5, pixels // width + 0.5], -1)
-    relative = _relative(_filled(normals), across)
+    relative = _relative(normals, across)
     model = GltfMesh(
         points,
         small.faces,
         at,
         tangents,
         places / [width, height],
-        base_color=None if colors is None else encode_image(".png", _filled(colors)),
+        base_color=None
+        if colors is None
+        else encode_image(".png", _filled(colors, ~np.isfinite(depth))),
         normal_map=encode_image(".png", _turned(relative, directx)),
     )
     up = "down (DirectX)" if directx else "up (OpenGL)"
@@ -105,10 +110,11 @@ def printable(
     top = _largest_part(_without_pinches(_grid(largest, step)))
     _require_faces(top)
     points = _points(depth, top.pixels, scale)
-    points, facts = _sized(points, scale.unit, "mm", longest_mm)
     count = len(points)
     below = points.copy()
     below[:, 2] = points[:, 2].min() - _BASE * np.ptp(points, axis=0).max()
+    points = np.concatenate([points, below])
+    points, facts = _sized(points, scale.unit, "mm", longest_mm)
     edges = top.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, index, times = np.unique(
         np.sort(edges, -1), axis=0, return_index=True, return_counts=True
@@ -118,7 +124,7 @@ def printable(
         [np.stack([b, a, a + count], -1), np.stack([b, a + count, b + count], -1)]
     )
     faces = np.concatenate([top.faces, top.faces[:, ::-1] + count, walls])
-    solid: Any = trimesh.Trimesh(np.concatenate([points, below]), faces, process=False)
+    solid: Any = trimesh.Trimesh(points, faces, process=False)
     return solid.export(file_type="stl"), {**facts, "faces": len(faces)}
 
 
@@ -133,6 +139,26 @@ def _grid(depth: np.ndarray, step: int) -> Mesh:
     mesh = mesh_of_depth(few, cut=None)
     row, column = np.divmod(mesh.pixels, few.shape[1])
     return mesh._replace(pixels=step * (row * depth.shape[1] + column))
+
+
+def _over_jumps(
+    depth: np.ndarray, mesh: Mesh, scale: Scale, cut: float, step: int
+) -> np.ndarray:
+    """Which triangles of a grid lie where neighbouring pixels' depths jump: `[F]`."""
+    pixel = scale.pixel_size if scale.focal is None else depth / scale.focal
+    most = np.broadcast_to(cut * pixel, depth.shape)
+    jump = np.zeros(depth.shape, bool)
+    jump[:, :-1] = np.abs(np.diff(depth)) > most[:, :-1]
+    jump[:-1] |= np.abs(np.diff(depth, axis=0)) > most[:-1]
+    height, width = (-(-n // step) for n in depth.shape)
+    padding = [
+        (0, n * step - m) for n, m in zip((height, width), depth.shape, strict=True)
+    ]
+    cells = np.pad(jump, padding).reshape(height, step, width, step).any((1, 3))
+    row, column = (
+        x.min(-1) for x in np.divmod(mesh.pixels[mesh.faces], depth.shape[1])
+    )
+    return cells[row // step, column // step]
 
 
 def _require_faces(mesh: Mesh) -> None:
@@ -172,9 +198,8 @@ def _sized(
     return points * factor, facts
 
 
-def _filled(values: np.ndarray) -> np.ndarray:
-    """Pixels without a value (0) take the nearest one that has."""
-    empty = ~(values != 0).any(-1)
+def _filled(values: np.ndarray, empty: np.ndarray) -> np.ndarray:
+    """Pixels without a value take the nearest one that has."""
     if not empty.any() or empty.all():
         return values
     place = scipy.ndimage.distance_transform_edt(
