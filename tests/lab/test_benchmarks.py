@@ -32,7 +32,7 @@ def test_diligent_gives_what_was_stored(tmp_path):
     np.testing.assert_array_equal(item.normals, truth.astype(np.float32))
     np.testing.assert_allclose(item.lights.directions, directions, atol=1e-6)
     np.testing.assert_allclose(item.lights.intensities, intensities, rtol=1e-6)
-    assert item.focal is None
+    assert item.focal == np.inf
     assert data.snapshot(tmp_path) == before
 
 

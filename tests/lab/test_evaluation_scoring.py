@@ -343,6 +343,11 @@ def test_unips_variants_get_their_own_settings(tmp_path, monkeypatch):
     }
     keys = {json.dumps(variant.key, sort_keys=True) for variant in variants}
     assert len(keys) == 5
+    monkeypatch.setattr(streaming, "estimate_photographs", lambda *_, fast, **__: fast)
+    fast, plain, _ = load_variants(
+        ["unips:fast=true", "unips"], UnipsOptions([str(weights)])
+    )
+    assert fast.run(Observed(None, None)) and not plain.run(Observed(None, None))
 
 
 def test_the_oracle_works_for_unips_too(tmp_path):

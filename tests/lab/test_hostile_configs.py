@@ -48,7 +48,7 @@ VALUES = {
     ],
     "TrainConfig": [
         *[("steps", v) for v in ("0", "-5", "2**31", "10**30", "1e5", "'all'", "True")],
-        *[("seed", v) for v in ("-1", "10**30", "0.5", "None")],
+        *[("seed", v) for v in ("-1", "2**32", "10**30", "0.5", "None")],
         *[("log_every", v) for v in ("0", "2**40")],
         *[("checkpoint_every", v) for v in ("0", "-1")],
         *[("keep", v) for v in ("0", "'2'")],

@@ -11,6 +11,7 @@ from unips_jax.cli import render
 from unips_jax.errors import InputError
 from unips_jax.io.claims import claim
 from unips_jax.io.ps_wild import focal_facts, write_folder
+from unips_jax.provenance import _reached
 from unips_jax.scenes import SHAPE_KINDS, Scene, folders
 from unips_jax.surface.depth_files import read_depth
 
@@ -266,3 +267,15 @@ def test_trees_are_reproducible_and_kept(tmp_path, capsys):
     assert render.main(["-o", str(tmp_path / "a"), *arguments[:-1], "5"]) == 2
     message = capsys.readouterr().err
     assert "expected a folder of {'seed': 5, 'size': 32, 'images': 2}" in message
+
+
+def test_trees_know_the_renderer_they_are_of():
+    reached = _reached(f"unips_jax.{name}" for name in folders._CODE)
+    assert {"unips_jax.scenes.shading", "unips_jax.scenes.draws"} <= set(reached)
+
+
+def test_seeds_have_32_bits(tmp_path, capsys):
+    arguments = ["-o", str(tmp_path / "o"), "--objects", "1", "--seed", str(2**32)]
+    assert render.main(arguments) == 2
+    assert "--seed: expected less than 2^32, got 4294967296" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()

@@ -5,58 +5,24 @@ import json
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
-from plain_objects import hemisphere
-from small_networks import SHALLOW_OURS, lively_network
+from lamp_photographs import (
+    COLORS,
+    DIRECTIONS,
+    MASK,
+    NORMALS,
+    angles,
+    photographs,
+    texture,
+)
 
 from unips_jax import estimate_lights
-from unips_jax.cli.estimate import main as estimate
-from unips_jax.errors import InputError
-from unips_jax.estimation import confidence
-from unips_jax.estimation.extras import write_confidence
-from unips_jax.estimation.options import FolderOptions
-from unips_jax.estimation.streaming import estimate_with_lights
 from unips_jax.io.color import srgb_encode
-from unips_jax.io.images import read_image, read_image_file, read_linear
-from unips_jax.io.photographs import read_photographs, select
+from unips_jax.io.images import read_image_file, read_linear
 from unips_jax.io.results import RECORD, transfer_of
-from unips_jax.lighting import ptm
 from unips_jax.lighting.harmonics import COSINE_LOBE, harmonics
 from unips_jax.lighting.light_files import base_color, write_base_color, write_lights
 from unips_jax.lighting.light_fit import irradiance
 from unips_jax.viewer.result import maps_of
-from unips_jax.weights import save_weights
-
-NORMALS, MASK, _ = hemisphere(40)
-DIRECTIONS = np.array(
-    [[0.5, 0.2, 0.8], [-0.6, 0.1, 0.7], [0, 0.7, 0.6], [0.1, -0.5, 0.9], [0, 0, 1]]
-)
-DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
-COLORS = np.array([[1, 1, 1], [2, 1.8, 1.5], [0.6, 0.7, 0.9], [1, 0.8, 1], [1.3, 1, 1]])
-
-
-def texture():
-    row, column = np.mgrid[:40, :40]
-    stripes = 0.55 + 0.35 * np.sin(row / 3)[..., None] * [1, 0.3, -0.5]
-    return np.where(column[..., None] < 20, stripes, 0.4)
-
-
-def photographs(ambient=0.0, gloss=False):
-    cosine = np.maximum(np.einsum("hwk,nk->nhw", NORMALS, DIRECTIONS), 0)
-    light = cosine[..., None] * COLORS[:, None, None] + ambient
-    images = light * texture()
-    if gloss:
-        half = DIRECTIONS + [0, 0, 1]
-        half /= np.linalg.norm(half, axis=1, keepdims=True)
-        images += (
-            np.maximum(np.einsum("hwk,nk->nhw", NORMALS, half), 0)[..., None] ** 60
-        )
-    return (images * MASK[..., None]).astype(np.float32)
-
-
-def angles(found, truth):
-    cosine = (found * truth).sum(-1) / np.linalg.norm(truth, axis=-1)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def test_lamps_are_found_without_guesses():
@@ -193,177 +159,3 @@ def test_lights_on_disk(tmp_path):
     assert [light["file"] for light in record] == names
     assert np.shape(record[0]["harmonics"]) == (9, 3)
     assert record[1]["intensity"] > 2 * record[2]["intensity"]
-
-
-def read_ptm(path):
-    """A reader of its own: a function of the light's x and y that gives an image."""
-    data = path.read_bytes()
-    lines, place = [], 0
-    while len(lines) < 6:
-        end = data.index(b"\n", place)
-        lines.append(data[place:end].decode())
-        place = end + 1
-    assert lines[:2] == ["PTM_1.2", "PTM_FORMAT_RGB"]
-    width, height = int(lines[2]), int(lines[3])
-    scale = [float(x) for x in lines[4].split()]
-    bias = [int(x) for x in lines[5].split()]
-    assert len(data) - place == 18 * width * height
-
-    def show(x, y):
-        image = np.zeros((height, width, 3))
-        terms = (x * x, y * y, x * y, x, y, 1)
-        for color in range(3):
-            for row in range(height):
-                start = place + 6 * width * (color * height + height - 1 - row)
-                line = np.frombuffer(data, np.uint8, 6 * width, start)
-                for k, term in enumerate(terms):
-                    image[row, :, color] += (
-                        (line[k::6].astype(int) - bias[k]) * scale[k] * term
-                    )
-        return np.clip(image / 255, 0, 1)
-
-    return show
-
-
-def read_planes(folder):
-    """The same, as web viewers do."""
-    info = json.loads((folder / "info.json").read_text())
-    assert (info["type"], info["colorspace"], info["nplanes"]) == ("ptm", "rgb", 18)
-    (material,) = info["materials"]
-    planes = [Image.open(folder / f"plane_{index}.jpg") for index in range(6)]
-    assert all(plane.size == (info["width"], info["height"]) for plane in planes)
-
-    def show(x, y):
-        image = np.zeros((info["height"], info["width"], 3))
-        for index, term in enumerate((1, x, y, x * x, x * y, y * y)):
-            for color in range(3):
-                level = np.asarray(planes[index])[..., color] / 255
-                which = 3 * index + color
-                factor = material["scale"][which] * term
-                image[..., color] += (level - material["bias"][which]) * factor
-        return np.clip(image, 0, 1)
-
-    return show
-
-
-def test_the_texture_map_relights_like_the_photographs(tmp_path):
-    images = photographs()
-    lights = estimate_lights(images, NORMALS, MASK)
-    fit = ptm.fit_texture_map(images, MASK, lights)
-    facts = ptm.write_ptm(tmp_path / "relight.ptm", fit)
-    ptm.write_planes(tmp_path, fit)
-    show, web = read_ptm(tmp_path / "relight.ptm"), read_planes(tmp_path)
-    expected = ptm.equalised(images, "linear", lights, facts["white"])
-    bright = np.quantile(expected[:, MASK], 0.995)
-    assert bright == pytest.approx(srgb_encode(0.95), abs=0.01)
-    error = []
-    for image, (x, y, _) in zip(expected, lights.directions, strict=True):
-        shown = show(x, y)
-        assert (shown[~MASK] < 0.02).all()
-        error.append(np.square(shown - image)[MASK].mean())
-        assert np.abs(web(x, y) - shown)[MASK].mean() < 0.01
-        assert web(x, y)[~MASK].mean() < 0.02  # JPEGs ring
-    psnr = -10 * np.log10(np.mean(error))
-    assert psnr == pytest.approx(facts["psnr_db"], abs=0.1) and psnr > 27
-    # Moving the light to the right brightens what faces right; the same upwards.
-    right, up = show(0.7, 0) - show(-0.7, 0), show(0, 0.7) - show(0, -0.7)
-    assert right[20, 33].min() > 0.1 > -0.1 > right[20, 6].max()
-    assert up[6, 20].min() > 0.1 > -0.1 > up[33, 20].max()
-
-
-def test_halves_are_halves():
-    halves = confidence._halves(7, 2, 0)
-    assert [len(half) for half in halves] == [3, 4, 3, 4]
-    for first, second in (halves[:2], halves[2:]):
-        assert sorted([*first, *second]) == list(range(7))
-    with pytest.raises(InputError, match="expected 2 photographs or more, got 1"):
-        confidence.normal_spread(None, np.ones((1, 4, 4, 3)), MASK, NORMALS)
-
-
-def test_spread_is_over_halves_of_which_every_second_is_mirrored(monkeypatch):
-    """Each half's normals are turned by 2, 4, 6 and 8 degrees about the vertical."""
-    mirror, given = np.float32([-1, 1, 1]), []
-
-    def estimate(network, images, mask, *, lights, **_):
-        index = len(given)
-        given.append((images, lights))
-        angle = np.deg2rad(2 * index + 2)
-        cos, sin = np.cos(angle), np.sin(angle)
-        turned = NORMALS @ np.float32([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
-        expected = MASK[:, ::-1] if index % 2 else MASK
-        np.testing.assert_array_equal(mask, expected)
-        return turned[:, ::-1] * mirror if index % 2 else turned
-
-    monkeypatch.setattr(confidence, "estimate_photographs", estimate)
-    images = photographs()
-    spread = confidence.normal_spread(None, images, MASK, NORMALS, lights=DIRECTIONS)
-    # About the vertical what faces sidewards turns as far as what faces the viewer.
-    middle = spread[20, MASK[20]]
-    np.testing.assert_allclose(middle, np.sqrt((4 + 16 + 36 + 64) / 4), atol=0.05)
-    assert not spread[~MASK].any()
-    for index, half in enumerate(confidence._halves(5, 2, 0)):
-        step = -1 if index % 2 else 1
-        seen, lights = given[index]
-        np.testing.assert_array_equal(seen, images[half][:, :, ::step])
-        np.testing.assert_allclose(lights, DIRECTIONS[half] * [step, 1, 1])
-
-
-def test_confidence_on_disk(tmp_path):
-    spread = np.float32([[0.001, 1.23, 14.9], [15.1, 90, 40]])
-    mask = np.array([[True, True, True], [True, True, False]])
-    facts = write_confidence(tmp_path, spread, mask)
-    levels = read_image(tmp_path / "confidence.png")[..., 0]
-    np.testing.assert_array_equal(levels, [[1, 123, 1490], [1510, 9000, 0]])
-    bad = read_image(tmp_path / "unreliable.png")[..., 0]
-    np.testing.assert_array_equal(bad, [[0, 0, 0], [255, 255, 0]])
-    assert facts["mean_deg"] == pytest.approx(spread[mask].mean())
-
-
-def test_all_is_everything():
-    whole = FolderOptions(all=True, mesh="ply").spelled_out()
-    assert whole.mesh == "ply" and not whole.all
-    names = ("depth", "lights", "base_color", "rti", "confidence", "view")
-    assert all(getattr(whole, name) for name in names)
-    assert FolderOptions().spelled_out() == FolderOptions()
-
-
-def test_estimate_writes_what_is_asked_for(tmp_path):
-    folder = tmp_path / "thing"
-    folder.mkdir()
-    for index, image in enumerate(photographs()[:2]):
-        encoded = np.uint8(255 * srgb_encode(image / 2))
-        cv2.imwrite(str(folder / f"{index}.png"), encoded[..., ::-1])
-    cv2.imwrite(str(folder / "mask.png"), np.uint8(255 * MASK))
-    weights = tmp_path / "small.safetensors"
-    save_weights(weights, lively_network(SHALLOW_OURS))
-    given = [str(folder), "-o", str(tmp_path / "out"), "--weights", str(weights)]
-    every = ["--lights", "--base-color", "--rti", "--confidence"]
-    assert estimate([*given, *every]) == 0
-    out = tmp_path / "out" / "thing"
-    record = json.loads((out / "normals.json").read_text())
-    beyond = {
-        "lights.json",
-        "lights.lp",
-        "base_color.exr",
-        "base_color.png",
-        "relight.ptm",
-        "confidence.exr",
-        "confidence.png",
-        "unreliable.png",
-        "info.json",
-        *(f"plane_{index}.jpg" for index in range(6)),
-    }
-    assert beyond <= set(record["files"])
-    assert record["rti"]["psnr_db"] > 15  # by the lights of a random network
-    found = json.loads((out / "lights.json").read_text())["photographs"]
-    # What the network guesses, here a random one.
-    images, mask, transfer = read_photographs(folder)
-    network = lively_network(SHALLOW_OURS)
-    _, guesses = estimate_with_lights(network, images, mask, transfer=transfer)
-    directions = np.array([light["direction"] for light in found])
-    assert angles(directions, guesses).max() < 0.1
-    levels = cv2.imread(str(out / "confidence.png"), cv2.IMREAD_UNCHANGED)
-    assert not levels[~MASK].any() and (levels > 0).sum() == record["mask_pixels"]
-    # The results are no photographs, should they be read as a folder of them.
-    (out / "photo.png").write_bytes((folder / "0.png").read_bytes())
-    assert select(out).names == ("photo.png",)

@@ -188,21 +188,19 @@ def test_a_folder_is_read_as_by_the_command(node, poses):
 def test_views_are_read_without_hidden_files_under_their_mask(node, poses):
     places = poses / "places"
     rng = np.random.default_rng(0)
-    for index in range(2):
-        write_image(
-            places / f"{index}.png", rng.integers(30, 220, (16, 16, 3), np.uint8)
-        )
+    for name in ("0.png", "normal_1.png"):  # named by SfMData: no map
+        write_image(places / name, rng.integers(30, 220, (16, 16, 3), np.uint8))
     mask = np.zeros((16, 16), np.uint8)
     mask[4:12, 4:12] = 255
     write_image(places / "Mask.png", mask)
     (places / "._0.png").write_bytes(b"of macOS")
-    names = ("._0.png", "0.png", "1.png")
+    names = ("._0.png", "0.png", "normal_1.png")
     views = [{"poseId": "7", "path": str(Path("places", name))} for name in names]
     (poses / "in.sfm").write_text(json.dumps({"views": views}))
     weights = str(poses / "small.safetensors")
     compute(node, poses / "out", input=str(poses / "in.sfm"), weights=weights)
     record = json.loads((poses / "out" / "7_normals.json").read_text())
-    assert list(record["images"]) == ["0000_0.png", "0001_1.png"]
+    assert list(record["images"]) == ["0000_0.png", "0001_normal_1.png"]
     assert record["mask_pixels"] == 64
 
 

@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from plain_objects import hemisphere
 
 from unips_jax.cli.estimate import main as estimate
@@ -211,3 +212,31 @@ def test_colours_of_linear_photographs_reach_white():
     expected = np.rint(255 * srgb_encode(linear / 0.1))
     found = photograph_colors(linear, "linear").astype(int)
     np.testing.assert_allclose(found, expected, atol=1)
+
+
+def test_a_focal_length_in_exif_is_the_depths(tmp_path):
+    """50 mm for a 35 mm film, in a photograph of 40 x 44."""
+    folder = noise(tmp_path / "thing")
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 50
+    for path in folder.glob("*.png"):
+        Image.open(path).save(path.with_suffix(".jpg"), exif=exif)
+        path.unlink()
+    arguments = [str(folder), "-o", str(tmp_path / "out"), "--depth"]
+    assert estimate([*arguments, "--focal", "exif"]) == 0
+    record = json.loads((tmp_path / "out" / "thing" / "normals.json").read_text())
+    expected = 50 / np.hypot(36, 24) * np.hypot(40, 44)
+    assert record["surface"]["focal_px"] == pytest.approx(expected, rel=1e-3)
+
+
+def test_models_of_a_perspective_camera_are_along_rays(files):
+    arguments = [str(files / "normals.npy"), "-o", str(files / "out"), "--focal", "90"]
+    assert surface([*arguments, "--mesh", "ply", "--export", "blender"]) == 0
+    mesh = trimesh.load(files / "out" / "mesh.ply", process=False)
+    x, y, z = mesh.vertices.T
+    for place in (90 * x / -z + 23.5, 90 * y / -z + 23.5):
+        np.testing.assert_allclose(place, np.rint(place), atol=0.01)
+    (path,) = (files / "out").glob("*.glb")
+    model = trimesh.load(path, force="mesh")
+    shape, expected = (m.extents / m.extents[0] for m in (model, mesh))
+    np.testing.assert_allclose(shape, expected, rtol=0.3)  # at the rim one has more

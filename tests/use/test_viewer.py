@@ -176,6 +176,15 @@ def test_the_command_integrates_what_has_no_depth(folder, capsys):
     assert "<b>bright" not in html and "\\u003cb>bright" in html
 
 
+def test_an_integrated_depth_is_in_the_results_pixels(monkeypatch):
+    """Also where the page is smaller, here by 2."""
+    monkeypatch.setattr("unips_jax.viewer.page._SIDES", (40,))
+    found = with_depth(known_results.result(depth=None)).depth
+    truth = known_results.result().depth
+    both = np.isfinite(found) & np.isfinite(truth)
+    assert np.ptp(found[both]) == pytest.approx(np.ptp(truth[both]), rel=0.1)
+
+
 def test_photographs_that_moved_or_changed(folder, tmp_path, capsys):
     (tmp_path / "photographs").rename(tmp_path / "elsewhere")
     page_file = str(tmp_path / "a.html")

@@ -75,6 +75,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         value = getattr(options, name)
         if value < least:
             raise InputError(f"--{name}: expected at least {least}, got {value}")
+    if options.seed >= 2**32:
+        raise InputError(f"--seed: expected less than 2^32, got {options.seed}")
     if options.output is not None:
         make_folder(options.output, "-o")
     if options.sheet is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from unips_jax.estimation.extras import Extras, write_extras
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.color import Transfer
-from unips_jax.io.images import write_image
+from unips_jax.io.images import read_image_file, write_image
 from unips_jax.io.normals import write_normals
 from unips_jax.io.record import print_line, summary
 from unips_jax.io.results import appearing_at_once, write_record
@@ -71,11 +71,11 @@ def write_estimate(
         )
         if record["mask_suggested"]:
             write_image(place / "mask.png", estimate.mask.astype(np.uint8) * 255)
+        record |= write_extras(place, estimate, options)
         if options.depth or options.mesh:
             record["surface"] = _write_surface(
                 place, estimate, options, record["warnings"], verbose
             )
-        record |= write_extras(place, estimate, options)
         if options.view:
             _write_view(place, target, estimate, record)
         if more is not None:
@@ -97,7 +97,10 @@ def _write_surface(
     from unips_jax.surface.mesh import NoTriangle
 
     colors = None
-    if options.mesh:
+    if options.mesh and options.base_color:
+        base_color = read_image_file(place / "base_color.png").pixels
+        colors = outputs.photograph_colors(base_color, "srgb")
+    elif options.mesh:
         colors = outputs.mean_colors(
             estimate.images, estimate.transfer, estimate.to_srgb
         )

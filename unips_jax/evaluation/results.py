@@ -42,6 +42,11 @@ class Results:
         return list(dict.fromkeys(result.tags["object"] for result in self.results))
 
     @property
+    def entry_name(self) -> str:
+        """What an entry is: an object, or a set where an object has several."""
+        return "object" if len(self.entries) == len(self.objects) else "set"
+
+    @property
     def lightings(self) -> list[str]:
         """The lightings, in order; empty where the benchmark has none."""
         named = [r.tags["lighting"] for r in self.results if "lighting" in r.tags]

@@ -94,7 +94,8 @@ def _summary(results: Results) -> Table:
         title += f", means over {len(results.seeds)} subsets of images"
     if results.benchmark in DATA:
         title += f"; published scores are of {DATA[results.benchmark]}"
-    head = [*columns(["Method", "Images"]), _SOURCE, *columns([*scores, "Objects"])]
+    counted = f"{results.entry_name}s".capitalize()
+    head = [*columns(["Method", "Images"]), _SOURCE, *columns([*scores, counted])]
     return Table("summary", title, head, rows)
 
 
@@ -229,12 +230,12 @@ def _angles(results: Results) -> Table:
             for i, (label, error) in enumerate(zip(scores, errors, strict=True))
             if label in every
         }
-        rows.append(row(bounds, pixels, *errors, best=lowest(compared)))
-    objects = "1 object" if len(shared) == 1 else f"{len(shared)} objects"
+        rows.append(row(bounds, round(pixels), *errors, best=lowest(compared)))
+    entries = f"{len(shared)} {results.entry_name}{'s' * (len(shared) != 1)}"
     return Table(
         "angles",
         "Mean angular error in degrees by the angle between true normal and viewer, "
-        f"over the pixels of {objects}, all that these methods share",
+        f"over the pixels of {entries}, all that these methods share",
         columns(["Angle", "Pixels"], scores),
         rows,
     )

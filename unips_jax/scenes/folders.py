@@ -34,7 +34,8 @@ from unips_jax.scenes.draws import seeded
 LIGHTINGS = ("directional", "environment", "mixed")
 
 
-_CODE = ("scenes.folders",)  # what the folders' contents follow from
+# What the folders' contents follow from; the renderer is imported when it is used.
+_CODE = ("scenes.folders", "scenes.render")
 _FOLDER_CONFIG = SceneConfig(
     linear_rate=1.0, eight_bit_rate=0.0, blur_rate=0.0, mask_error_rate=0.0
 )

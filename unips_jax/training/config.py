@@ -224,7 +224,7 @@ class TrainConfig:
         blocks = ("steepness_weight", "differences_weight")
         require_not_negative(self, "seed", *guesses, *blocks, "validation_scenes")
         require_at_most(self, LAST_STEP, "steps", *rhythm)
-        require_at_most(self, 2**63 - 1, "seed")
+        require_at_most(self, 2**32 - 1, "seed")  # keys have no more bits
         require_at_most(self, 2**16, "validation_scenes")
         require_at_most(self, 2**12, "validation_images")
 

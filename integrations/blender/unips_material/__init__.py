@@ -40,7 +40,13 @@ class UnipsError(RuntimeError):
 
 
 def estimate(
-    photographs: Path, *, command: str, weights: str, max_images: int, seed: int
+    photographs: Path,
+    *,
+    command: str,
+    weights: str,
+    max_images: int,
+    seed: int,
+    focal: str = "",
 ) -> Path:
     """Runs `unips estimate` on a folder of photographs.
 
@@ -50,6 +56,7 @@ def estimate(
         weights: name of shipped weights, or a file.
         max_images: how many of the photographs to draw, with the seed; 0: all.
         seed: of that draw.
+        focal: focal length in pixels, or "exif"; empty: an orthographic camera.
 
     Returns:
         The folder of results, `NAME_unips/NAME` next to the photographs.
@@ -63,6 +70,8 @@ def estimate(
     words += ["--depth", "--base-color", "--lights", "--weights", weights]
     if max_images:
         words += ["--max-images", str(max_images), "--seed", str(seed)]
+    if focal:
+        words += ["--focal", focal]
     try:
         run = subprocess.run(
             words,
@@ -179,13 +188,18 @@ class ImportPhotographs(bpy.types.Operator):
         name="Relief as",
         items=[
             ("MODIFIER", "Modifier", "Height moves a flat mesh; can be changed later"),
-            ("MESH", "Mesh", "Depth places the vertices, also in perspective"),
+            ("MESH", "Mesh", "Depth places the vertices, in perspective if Focal is given"),
         ],
     )
     lit: BoolProperty(
         name="Lights",
         description="The photographs' lights, one to a frame, and their camera",
         default=False,
+    )
+    focal: StringProperty(
+        name="Focal length",
+        description="In pixels, or exif; empty: a camera from far away",
+        default="",
     )
     weights: StringProperty(name="Weights", default="tiny")
     command: StringProperty(
@@ -209,6 +223,7 @@ class ImportPhotographs(bpy.types.Operator):
                 weights=self.weights,
                 max_images=self.max_images,
                 seed=self.seed,
+                focal=self.focal,
             )
             made = build(
                 result,

@@ -12,6 +12,7 @@ by), `mask.png` and, where the truth is public, `Normal_gt.mat` (key `Normal_gt`
 
 import io
 import itertools
+import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -78,8 +79,8 @@ class Diligent(Benchmark):
         pixels = int(truth.mask.sum())
         if truth.mask.shape == (512, 612) and pixels != published:
             note = f"the mask has {pixels} pixels, the published one {published}"
-            return truth._replace(notes=(note,))
-        return truth
+            truth = truth._replace(notes=(note,))
+        return truth._replace(focal=math.inf)
 
 
 class DiligentMV(Benchmark):

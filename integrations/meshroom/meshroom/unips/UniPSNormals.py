@@ -223,6 +223,8 @@ def _estimate(
         command = [*_words(options["executable"]), "estimate", str(folder)]
         command += ["-o", str(Path(scratch) / "out"), "--weights", options["weights"]]
         command += ["--normal-map", options["convention"]]
+        if links:  # also what is named as a map or a mask
+            command += ["--include", "[0-9][0-9][0-9][0-9]_*"]
         if options["maxImages"]:
             command += ["--max-images", str(options["maxImages"])]
             command += ["--seed", str(options["seed"])]
@@ -238,7 +240,7 @@ def _estimate(
             for link, path in links.items():
                 text = text.replace(link, path)
             raise RuntimeError(text) from None
-        record = json.loads((Path(scratch) / "out" / pose / "normals.json").read_text())
+        record = json.loads((Path(scratch) / "out" / pose / "normals.json").read_bytes())
         if links and record.get("orientation", 1) != 1:
             raise RuntimeError(
                 f"pose {pose}: expected photographs as SfMData's cameras saw them, got "
