@@ -6,13 +6,13 @@ r"""The long run: rich scenes at a constant rate, until nothing more is gained.
         --init-weights runs/long-begin.safetensors
 
 What: `tiny` from its weights, with a consensus twice as wide, tokens for kinds of light
-and known lights, on scenes of which a third are meshes by others, in environments
-of which a third are photographed, with light that bounces from what is near, paint, carvings,
-spotted metal, and borders that mix with a background in 30 % (masks are learnt). Of
-three in ten sets with a lamp the network is given it, roughly or exactly. Images have
-192 x 192 pixels: objects in photographs are larger than the 128 x 128 of `tiny`. A fork
-that falls shows what a checkpoint is worth: copy the folder, and go on in it with
-`--train.steps N --optim.fall-steps 400`.
+and known lights, on scenes of which a third are meshes by others, in environments of
+which a third are photographed, with light that bounces from what is near, paint,
+carvings, spotted metal, and borders that mix with a background in 30 % (masks are
+learnt). Of three in ten sets with a lamp the network is given it, roughly or exactly.
+Images have 192 x 192 pixels: objects in photographs are larger than the 128 x 128 of
+`tiny`. A fork that falls shows what a checkpoint is worth: copy the folder, and go on
+in it with `--train.steps N --optim.fall-steps 400`.
 Hardware: two CPU cores, over as many sittings as it takes. Time: 6.6 s a step.
 Score: none yet (`docs/history/tiny.md` has the forks').
 """

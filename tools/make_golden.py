@@ -2,11 +2,12 @@
 
     python tools/make_golden.py [-o tests/golden]
 
-One file for each arithmetic of set attention. Weights and inputs follow from their
-names alone; the files hold contexts, normals, the loss and the norm of its gradient
-with respect to every parameter. Run it again only for a change that is meant to change
-results. (That the network is the authors' is checked against their own arrays,
-`unips_official.npz` next to them, in `tests/use/test_official_parity.py`.)
+One file for each arithmetic of set attention, and one for our network with its parts.
+Weights and inputs follow from their names alone; the files hold contexts, normals, the
+loss and (not of ours) the norm of its gradient with respect to every parameter. Run it
+again only for a change that is meant to change results. (That the network is the
+authors' is checked against their own arrays, `unips_official.npz` next to them, in
+`tests/use/test_official_parity.py`.)
 """
 
 import argparse
@@ -22,12 +23,12 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 
 from unips_jax import estimate_normals
 from unips_jax.console import command
-from unips_jax.models.config import UniPSConfig
+from unips_jax.models.config import ModelConfig, SelfCalibratingConfig, UniPSConfig
 from unips_jax.models.network import UniversalNetwork, encode, init_params
 from unips_jax.models.views import make_views, normalize_images
 from unips_jax.training.loss import LossOptions, Objects, training_loss
 
-CONFIGS = {
+CONFIGS: dict[str, ModelConfig] = {
     attention: UniPSConfig(
         canonical_size=16,
         patch_channels=(3, 5),
@@ -49,6 +50,30 @@ CONFIGS = {
     )
     for attention, sampling in (("pre_norm", "center"), ("released", "corner"))
 }
+CONFIGS["self_calibrating"] = SelfCalibratingConfig(
+    canonical_size=16,
+    patch_channels=(3, 5),
+    embed_dim=8,
+    depths=(1, 2),
+    num_heads=(2, 4),
+    window_size=3,
+    communication_heads=4,
+    context_dim=8,
+    pool_scales=(1, 2),
+    aggregation_layers=2,
+    hidden_dim=12,
+    aggregation_heads=3,
+    aggregation_mlp_dim=13,
+    pma_mlp_dim=11,
+    predictor_dim=5,
+    ratio_dim=2,
+    consensus_blocks=2,
+    consensus_dim=32,
+    observation_dim=4,
+    fine_dim=5,
+    light_tokens=True,
+    known_lights=True,
+)
 
 
 def draw(name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -57,7 +82,7 @@ def draw(name: str, shape: tuple[int, ...]) -> np.ndarray:
     return generator.standard_normal(shape).astype(np.float32)
 
 
-def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
+def golden_arrays(config: ModelConfig) -> dict[str, np.ndarray]:
     """What is kept of a network.
 
     Args:
@@ -83,6 +108,9 @@ def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
     normals = draw("normals", (18, 24, 3))
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     normals *= mask[..., None]  # what is outside does not count
+    lights = draw("lights", (3, 3))
+    lights = lights / np.linalg.norm(lights, axis=-1, keepdims=True)
+    known = lights if config.guesses else None
 
     @jax.jit
     def contexts(network):
@@ -90,26 +118,29 @@ def golden_arrays(config: UniPSConfig) -> dict[str, np.ndarray]:
         views = make_views(normalize_images(images, inside), inside, config)
         return jnp.moveaxis(encode(network, views).contexts[0], 2, 0)
 
-    @jax.jit
     def loss(network):
         one = jnp.asarray(images), jnp.asarray(mask), jnp.asarray(normals)
         objects = Objects(one[0][None], one[1][None], one[2][None])
+        if known is not None:
+            given = jnp.asarray(known)[None]
+            objects = objects._replace(lights=given, known_lights=given)
         keys = jax.random.split(jax.random.key(0), 1)
-        options = LossOptions(num_pixels=mask.size)
+        grid_loss = known is None  # ours has none beside its fine contexts
+        options = LossOptions(num_pixels=mask.size, grid_loss=grid_loss)
+        return training_loss(network, objects, keys, options, deterministic=True)[0]
 
-        def of(network):
-            return training_loss(network, objects, keys, options, deterministic=True)[0]
-
-        return jax.value_and_grad(of)(network)
-
-    value, gradients = loss(network)
-    norms = {
-        f"gradient/{name}": np.linalg.norm(gradient)
-        for name, gradient in flatten_dict(gradients.params, sep="/").items()
-    }
+    norms = {}
+    if known is None:
+        value, gradients = jax.jit(jax.value_and_grad(loss))(network)
+        norms = {
+            f"gradient/{name}": np.linalg.norm(gradient)
+            for name, gradient in flatten_dict(gradients.params, sep="/").items()
+        }
+    else:  # ours takes long to differentiate
+        value = jax.jit(loss)(network)
     arrays = {
         "contexts": contexts(network),
-        "normals": estimate_normals(network, images, mask),
+        "normals": estimate_normals(network, images, mask, lights=known),
         "loss": value,
     }
     return {name: np.asarray(x, np.float32) for name, x in (arrays | norms).items()}

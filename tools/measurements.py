@@ -113,7 +113,8 @@ MEASUREMENTS = {
         "The paper's Table 8, on our scenes",
         "6 objects under three lightings, 10 images of 256 x 256. The paper's means "
         "are of other data and, for UniPS, other weights. `woodham`, `l1`, `sbl` "
-        "and `rpca` know the lights; `mpm` is our reconstruction; †: the truth chose the signs.",
+        "and `rpca` know the lights; `mpm` is our reconstruction; †: the truth chose "
+        "the signs.",
         "python tools/table8.py out/table8 --weights tiny",
         readings.table8,
     ),

@@ -379,3 +379,12 @@ def test_what_blender_prints_while_it_is_imported_is_no_answer(tmp_path):
         text=True,
     )
     assert json.loads(done.stdout)["ok"]["blender"] == "stub"
+
+
+def test_focal_lengths_are_in_pixels_of_the_photographs(stand_in):
+    settings = run.Settings(size=24, perspective=1)
+    with blender_process.Blender(stand_in) as blender:
+        job = assets.drawn_jobs(1, 5)[0]
+        facts = run.pose(blender, job, settings, np.random.default_rng(0))
+    assert 35 <= facts["focal_mm"] <= 200
+    assert facts["focal"] == pytest.approx(24 * facts["focal_mm"] / 36)

@@ -77,3 +77,13 @@ def test_elongated_objects_reach_the_frame_too():
         assert fits and np.abs(sides).max() == pytest.approx(1, abs=0.01)
         np.testing.assert_allclose(np.sum(sides, 1), 0, atol=0.02)
     assert not framing.fit(corners * [1, 1, 4], 35.0)[2]  # a needle in the eye
+
+
+def test_pixels_of_the_outline_are_the_objects_alone():
+    alpha = np.float32([[1, 0.25, 5e-4, 0.5]])
+    colors = zip("RGB", (0.8, 0.4, 0.2), strict=True)
+    channels = {name: alpha * value for name, value in colors} | {"A": alpha}
+    mask = np.array([[True, True, True, False]])
+    image = run.read_photograph(channels, mask)
+    np.testing.assert_allclose(image[0, :2], [[0.8, 0.4, 0.2]] * 2, rtol=1e-6)
+    assert not image[0, 2:].any()

@@ -115,3 +115,16 @@ def test_nothing_is_estimated_before_all_is_there(opening):
     client.draw(key, "empty", drawn(10))
     answer = client.refused(f"/objects/{key}/estimate", name="a")
     assert "the mask is empty" in answer["error"]
+
+
+@pytest.mark.parametrize("kind", ["auto", "whole", "drawn"])
+def test_the_mask_that_was_chosen_is_the_estimates(opening, kind):
+    client = opening()
+    key = client.post("/objects", example=True)["id"]
+    client.ready(key)
+    client.draw(key, kind, drawn(40))
+    client.post(f"/objects/{key}/estimate", name="cat", options={})
+    client.state(key, "done")
+    own = client.results / ".app" / key / "drawn.png"
+    masks = {"auto": "auto", "whole": "none", "drawn": own}
+    assert Pretended.calls[-1][2] == masks[kind]

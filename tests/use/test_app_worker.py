@@ -1,8 +1,11 @@
 """The application's processes, and what is done in them."""
 
 import asyncio
+import dataclasses
 import os
+import re
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -137,3 +140,32 @@ def test_a_film_becomes_photographs(tmp_path):
     facts = work.look(tmp_path / "one.tif", tmp_path / "t.jpg", 10**6, report=silent)
     assert (facts["width"], facts["height"]) == (30, 20)
     assert (tmp_path / "t.jpg").exists()
+
+
+def test_the_pages_options_are_those_of_the_server():
+    page = (Path(work.__file__).parent / "assets" / "index.html").read_text("utf-8")
+    names = [field.name for field in dataclasses.fields(work.Choices)]
+    assert sorted(re.findall(r'data-option="(\w+)"', page)) == sorted(names)
+
+
+def test_choices_become_the_commands_options(tmp_path, monkeypatch):
+    seen = []
+
+    def estimate(folder, target, network, options, **_):
+        seen.append(options)
+        return {"findings": []}
+
+    monkeypatch.setattr(work, "_network", lambda weights: None)
+    monkeypatch.setattr("unips_jax.estimation.folders.estimate_folder", estimate)
+    chosen = work.Chosen(tmp_path, ("a.png",), None, ("b.png",))
+    asked = work.Choices(
+        transfer="srgb", perspective=True, register=True, mesh=False, fast=True
+    )
+    for mask, choices in (("auto", asked), ("none", work.Choices())):
+        places = tmp_path / "out", mask, tmp_path / "preview.png"
+        work.estimate(chosen, *places, choices, "tiny", 10**6, report=silent)
+    own, plain = seen
+    assert (own.transfer, own.focal, own.mesh) == ("srgb", "exif", None)
+    assert own.register and own.fast and own.depth and own.view
+    assert (own.include, own.exclude) == (("a.png",), ("b.png",))
+    assert (plain.focal, plain.mesh, plain.mask) == (None, "glb", "none")

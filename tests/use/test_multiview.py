@@ -308,3 +308,21 @@ def test_what_does_not_belong_is_refused(tmp_path, capsys):
     assert main([*results, "--sfm", sfm, "-o", out]) == 0
     assert "its lenses distort" in capsys.readouterr().err
     assert not (tmp_path / "out" / "albedos.sfm").exists()
+
+
+def test_results_are_turned_as_their_records_say(tmp_path):
+    (tmp_path / "plain").mkdir()
+    results = given(tmp_path / "plain", color=False)
+    cameras = ["--sfm", str(tmp_path / "plain" / "in.sfm"), "-o"]
+    assert main([*results, *cameras, str(tmp_path / "expected")]) == 0
+    for index, folder in enumerate(map(Path, results)):
+        write_normals(folder, normals_as_stored(seen(index), 8))
+        record = json.loads((folder / "normals.json").read_text())
+        (folder / "normals.json").write_text(json.dumps(record | {"orientation": 6}))
+        record_anew(folder)
+    assert main([*results, *cameras, str(tmp_path / "out")]) == 0
+    found, expected = (
+        read_image(tmp_path / name / "normal" / "001.png").astype(int)
+        for name in ("out", "expected")
+    )
+    assert np.abs(found - expected).max() <= 1

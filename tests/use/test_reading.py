@@ -5,6 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+from picture_files import png_with_orientation
 from plain_objects import HARD, photographs
 
 from unips_jax.capture import prepare
@@ -92,3 +93,11 @@ def test_where_nothing_would_be_left_nothing_is_moved_back(tmp_path, monkeypatch
     looked = looked_at(folder, register=True)
     assert [*looked.facts["moved_back"]] == ["2.png"]
     assert "moved" not in [f["kind"] for f in looked.facts["findings"]]
+
+
+@pytest.mark.parametrize("tag", [1, 6])
+def test_the_record_says_how_exif_turned_photographs(tmp_path, tag):
+    folder = write(tmp_path / "pot", photographs(3, count=2)[0])
+    for path in folder.iterdir():
+        path.write_bytes(png_with_orientation(path.read_bytes(), tag))
+    assert looked_at(folder, mask="none").facts["orientation"] == tag

@@ -188,7 +188,11 @@ class ImportPhotographs(bpy.types.Operator):
         name="Relief as",
         items=[
             ("MODIFIER", "Modifier", "Height moves a flat mesh; can be changed later"),
-            ("MESH", "Mesh", "Depth places the vertices, in perspective if Focal is given"),
+            (
+                "MESH",
+                "Mesh",
+                "Depth places the vertices, by the focal length",
+            ),
         ],
     )
     lit: BoolProperty(

@@ -240,7 +240,9 @@ def _estimate(
             for link, path in links.items():
                 text = text.replace(link, path)
             raise RuntimeError(text) from None
-        record = json.loads((Path(scratch) / "out" / pose / "normals.json").read_bytes())
+        record = json.loads(
+            (Path(scratch) / "out" / pose / "normals.json").read_bytes()
+        )
         if links and record.get("orientation", 1) != 1:
             raise RuntimeError(
                 f"pose {pose}: expected photographs as SfMData's cameras saw them, got "

@@ -1,0 +1,34 @@
+"""Exposure and noise of the scenes' camera."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from unips_jax.scenes import SceneConfig, sensor
+
+
+@pytest.mark.parametrize(
+    ("pattern", "usual", "spare"),
+    [((1, 1), 2.2**0.5, 1), ((0, 2), (3 * 1.1) ** 0.5, 7)],
+)
+def test_every_image_is_exposed_for_its_own_light(pattern, usual, spare):
+    mask = jnp.zeros((4, 4), bool).at[1:3].set(True)
+    light, target = np.float32([0.01, 1, 50]), jnp.asarray([0.3, 0.6, 0.9])
+    shown = light[:, None, None, None] * jnp.repeat(jnp.asarray(pattern), 2)
+    radiance = jnp.where(mask, shown, 1e3) * jnp.ones((3, 3, 4, 4))
+    for how, measure in ((False, usual), (True, spare)):
+        gain = sensor.exposure(radiance, mask, target, how)
+        np.testing.assert_allclose(gain * light, target / measure, rtol=1e-3)
+
+
+def test_noise_is_each_photographs_own():
+    noisy = SceneConfig(
+        linear_rate=1, eight_bit_rate=0, noise_rate=1, blur_rate=0, mask_error_rate=0
+    )
+    radiance, mask = jnp.full((3, 3, 24, 24), 0.4), jnp.ones((24, 24), bool)
+    taken = jax.jit(sensor.record, static_argnums=3)
+    images, _, _ = taken(jax.random.key(1), radiance, mask, noisy)
+    values = np.asarray(images).reshape(9, -1)
+    assert values.std(axis=1).min() > 5e-5
+    assert np.abs(np.corrcoef(values) - np.eye(9)).max() < 0.2
