@@ -32,7 +32,7 @@ from unips_jax.io.naming import (
 
 SUFFIXES = RAW_SUFFIXES | frozenset(
     ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split()
-    + ".pgm .ppm .pnm .pbm .gif .tga .mpo .heic .heif .avif".split()
+    + ".pgm .ppm .pnm .pbm .gif .tga .mpo .heic .heif .hif .avif".split()
 )
 
 _UNREAD_SUFFIXES = frozenset(".jxl .jp2 .psd .xcf .svg .pdf".split())
