@@ -27,7 +27,7 @@ def directory(order: str, position: int, tags: dict, following: int) -> bytes:
     values = position + 2 + 12 * len(tags) + 4
     entries, tail = b"", b""
     for tag, (kind, numbers) in sorted(tags.items()):
-        code = {1: "B", 3: "H", 4: "I"}[kind]
+        code = {1: "B", 3: "H", 4: "I", 129: "B"}[kind]  # 129: of EXIF 3.0
         body = struct.pack(f"{order}{len(numbers)}{code}", *numbers)
         if len(body) <= 4:
             place = body.ljust(4, b"\0")

@@ -172,13 +172,18 @@ def expanded(paths: Iterable[Path]) -> Iterator[Path]:
 
 
 def require_patterns(include: Sequence[str], exclude: Sequence[str]) -> None:
-    """Refuses a folder among patterns of file names: it was meant to be worked on."""
+    """Refuses folders, which were meant to be worked on, and paths: no name fits."""
     for option, patterns in (("--include", include), ("--exclude", exclude)):
         for pattern in patterns:
             if os.path.isdir(pattern):  # however long  # noqa: PTH112
                 raise InputError(
                     f"{option} {pattern}: expected a pattern of file names, got a "
                     "folder; name folders first"
+                )
+            if {os.sep, os.altsep} & {*pattern}:
+                raise InputError(
+                    f"{option} {pattern}: expected a pattern of file names, got a "
+                    "path; leave out its folder"
                 )
 
 

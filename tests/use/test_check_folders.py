@@ -116,3 +116,51 @@ def test_a_folder_is_no_pattern(folder, tmp_path, capsys, command, option):
     assert cli.main([command, *arguments]) == 2
     said = f"error: {option} {folder}: expected a pattern of file names, got a folder;"
     assert capsys.readouterr().err.startswith(said)
+
+
+@pytest.mark.parametrize("command", ["check", "estimate"])
+@pytest.mark.parametrize("option", ["--include", "--exclude"])
+def test_a_path_is_no_pattern(folder, tmp_path, capsys, command, option):
+    output = ["-o", str(tmp_path / "out")] if command == "estimate" else []
+    pattern = str(folder / "4.tif")
+    assert cli.main([command, str(folder), option, "x*", pattern, *output]) == 2
+    out, err = capsys.readouterr()
+    assert err == (
+        f"error: {option} {pattern}: expected a pattern of file names, got a path; "
+        "leave out its folder\n"
+    )
+    assert out == ""
+
+
+def test_a_pattern_that_fits_nothing_is_said(folder, capsys):
+    assert cli.main(["check", str(folder), "--exclude", "4.tiff", "5.tif"]) == 0
+    out = capsys.readouterr().out
+    assert "4.tiff (by --exclude, which fits no file)" in out
+    assert "5.tif (by --exclude)" in out
+
+
+@pytest.fixture
+def normal_map(tmp_path):
+    """One on a background of a colour that is no normal's."""
+    y, x = np.mgrid[-1:1:80j, -1:1:80j] / 0.7
+    z = np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))
+    values = np.dstack([x, -y, z]) * 127.5 + 127.5
+    values[x**2 + y**2 > 1] = 255, 255, 255
+    path = tmp_path / "map.png"
+    cv2.imwrite(str(path), np.rint(values[..., ::-1]).clip(0, 255).astype(np.uint8))
+    return path
+
+
+def test_options_of_photographs_are_none_of_a_normal_map(normal_map, capsys):
+    path = str(normal_map)
+    given = ["--mask", "none", "--include", "a*", "--max-pixels", "9999"]
+    assert cli.main(["check", path, *given]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err == (
+        f"error: {path}: expected options of a normal map, got --mask, --include, "
+        "--max-pixels, of photographs; leave them out, or name a folder\n"
+    )
+    assert cli.main(["check", path, "--normal-map", "opengl"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "--as-stored takes all" in out
+    assert "named here are of `unips surface` and `unips relight`" in out

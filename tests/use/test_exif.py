@@ -15,7 +15,9 @@ from picture_files import (
     tiff_with_orientation,
     with_orientation,
 )
+from PIL import Image, TiffImagePlugin
 
+from unips_jax.capture.check import check_capture
 from unips_jax.errors import InputError
 from unips_jax.io.formats.encoded import facts_of
 from unips_jax.io.images import read_image, read_image_file
@@ -130,3 +132,35 @@ def test_damaged_exif_is_upright(tmp_path, block):
 def test_a_focal_length_is_a_number_above_0(focal):
     assert facts_of(1, focal, 1)["focal_35mm"] == 0
     assert facts_of(1, 35, 1)["focal_35mm"] == 35
+
+
+def developed_tiff(path, seconds, model, exposure=(8.0, 100)):
+    """A TIFF as raw converters write it; its picture is of `seed`."""
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[0x010F], tags[0x0110] = "Maker", model
+    aperture, speed = exposure
+    exif = {0x829A: seconds, 0x829D: aperture, 0x8827: speed}
+    exif |= {0x9003: "2026:11:28 10:00:00", 0xA405: 50}
+    tags[0x8769] = exif
+    picture = smooth(np.uint8, height=60, width=80)
+    Image.fromarray(picture).save(path, tiffinfo=tags)
+    return path
+
+
+def test_camera_and_exposure_of_tiffs(tmp_path):
+    file = read_image_file(developed_tiff(tmp_path / "0.tif", 1 / 60, "One"))
+    assert file.header.camera == "Maker One"
+    assert file.header.exposure == pytest.approx(100 / 60 / 64)
+    assert file.focal == pytest.approx(50 * 100 / math.hypot(24, 36))
+    for index, (seconds, model) in enumerate(((1 / 60, "One"), (1 / 15, "Two")), 1):
+        developed_tiff(tmp_path / f"{index}.tif", seconds, model)
+    capture = read_capture(select(tmp_path))
+    found = {f.kind: f for f in check_capture(capture, ["0.tif", "1.tif", "2.tif"])}
+    assert found["mixed cameras"].files == found["exposure changes"].files == ("2.tif",)
+    assert "x4 of the usual" in found["exposure changes"].text
+
+
+@pytest.mark.parametrize("aperture", [0.0, -0.0])
+def test_an_exposure_that_is_none_is_unknown(tmp_path, aperture):
+    path = developed_tiff(tmp_path / "0.tif", 1 / 60, "One", (aperture, 100))
+    assert read_image_file(path).header.exposure == 0

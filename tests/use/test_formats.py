@@ -172,6 +172,24 @@ def test_jpegs(tmp_path):
         read_image(path)
 
 
+def test_jpegs_whose_scan_states_no_coefficients(tmp_path):
+    """As phones write them: what a sequential scan has is known without."""
+    path = tmp_path / "a.jpg"
+    for progressive in (False, True):
+        Image.fromarray(smooth(np.uint8)).save(path, progressive=progressive)
+        data = bytearray(path.read_bytes())
+        expected = read_image(path)
+        at = data.index(b"\xff\xda")
+        end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        data[end - 3 : end] = bytes(3) if not progressive else b"\1\0\0"
+        path.write_bytes(data)
+        if progressive:
+            with pytest.raises(InputError, match="the decoder says: Invalid progress"):
+                read_image(path)
+        else:
+            np.testing.assert_array_equal(read_image(path), expected)
+
+
 @pytest.mark.parametrize("start", [0.4, 0.5, 0.8])
 def test_damaged_jpegs_are_refused_in_threads_too(tmp_path, start):
     path = save(tmp_path / "a.jpg", smooth(np.uint8, height=200, width=200))

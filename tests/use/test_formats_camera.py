@@ -1,24 +1,32 @@
 """Files as phones and cameras write them: raw, HEIC, AVIF, MPO; and TGA."""
 
+import datetime
 import importlib.util
 import struct
+import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
+import OpenEXR
 import pytest
 import tifffile
 from picture_files import save, smooth
 from PIL import Image, features
 
+from unips_jax.capture.prepare import without_ambient
 from unips_jax.errors import InputError
-from unips_jax.io.images import read_image, read_image_file
+from unips_jax.io.color import as_linear
+from unips_jax.io.formats import camera
+from unips_jax.io.formats.encoded import time_of
+from unips_jax.io.images import read_image, read_image_file, turned
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
 
 HEIGHT, WIDTH = 48, 64
 
 
-def dng(path, left=9000, right=2000, orientation=1):
+def dng(path, left=9000, right=2000, orientation=1, extra=()):
     """A raw file of grey: two brightnesses, of 16383, next to each other."""
     values = np.full((HEIGHT, WIDTH), left, np.uint16)
     values[:, WIDTH // 2 :] = right
@@ -38,7 +46,7 @@ def dng(path, left=9000, right=2000, orientation=1):
         (50728, "2I", 3, [*one, *one, *one]),
         (50778, "H", 1, (21,)),
     ]
-    tags = [(*tag, True) for tag in (*tags, (274, "H", 1, (orientation,)))]
+    tags = [(*tag, True) for tag in (*tags, (274, "H", 1, (orientation,)), *extra)]
     tifffile.imwrite(
         path, values, photometric=32803, extratags=tags, metadata=None, software=None
     )
@@ -66,6 +74,72 @@ def test_raw_files_are_turned(tmp_path, orientation):
     turns = {3: 2, 6: 3, 8: 1}[orientation]
     np.testing.assert_array_equal(file.pixels, np.rot90(upright, turns))
     assert file.orientation == orientation
+
+
+EXPOSED = (
+    (33434, "2I", 1, (1, 60)),
+    (33437, "2I", 1, (8, 1)),
+    (34855, "H", 1, (200,)),
+    (36867, "s", 0, "2026:11:28 10:00:00"),
+    (41989, "H", 1, (50,)),
+)
+
+
+def test_how_raw_files_were_taken(tmp_path, monkeypatch):
+    pytest.importorskip("rawpy")
+    file = read_image_file(dng(tmp_path / "a.dng", extra=EXPOSED))
+    header = file.header
+    assert header.camera == "Test One" and header.exposure == pytest.approx(200 / 3840)
+    assert header.taken == time_of("2026:11:28 10:00:00")
+    assert file.focal == pytest.approx(50 * np.hypot(48, 64) / np.hypot(24, 36))
+    assert not header.srgb and file.encoding.transfer == "linear"
+
+
+def test_how_raw_files_of_no_tiffs_form_were_taken(tmp_path, monkeypatch):
+    pytest.importorskip("rawpy")
+    path = dng(tmp_path / "a.dng", extra=EXPOSED)
+    monkeypatch.setattr(camera, "raw_facts", lambda data: {})
+    shot = camera._shot
+    other = SimpleNamespace(
+        shutter_speed=1 / 60,
+        aperture=8.0,
+        iso_speed=200.0,
+        timestamp=datetime.datetime(2026, 11, 28, 10),  # noqa: DTZ001 as rawpy gives it
+    )
+    monkeypatch.setattr(camera, "_shot", lambda _: shot(SimpleNamespace(other=other)))
+    header = read_image_file(path).header
+    assert header.taken == time_of("2026:11:28 10:00:00")
+    assert header.exposure == pytest.approx(200 / 3840)
+    monkeypatch.setattr(camera, "_shot", lambda _: shot(SimpleNamespace()))
+    header = read_image_file(path).header  # of an older binding
+    assert (header.taken, header.exposure) == (0, 0)
+
+
+@pytest.mark.parametrize(("wide", "high"), [(2, 1), (4, 3), (1, 2), (3, 4)])
+def test_raw_files_whose_pixels_are_not_square(tmp_path, wide, high):
+    pytest.importorskip("rawpy")
+    scale = (50718, "2I", 2, (wide, 1, high, 1))
+    image = read_image(dng(tmp_path / "a.dng", extra=[scale]))
+    ratio = image.shape[1] / image.shape[0]
+    assert ratio == pytest.approx(WIDTH / HEIGHT * wide / high, abs=0.02)
+    assert image[4, 4, 0] > 3 * image[4, -4, 0]
+
+
+@pytest.mark.parametrize("mark", [b"IIRO", b"IIU\0"])
+def test_raw_files_are_read_quietly(tmp_path, mark):
+    """As the first of a process: what the decoder logs is not for the terminal."""
+    pytest.importorskip("rawpy")
+    path = dng(tmp_path / "a.orf", extra=EXPOSED)
+    path.write_bytes(mark + path.read_bytes()[4:])
+    code = """
+import pathlib, sys
+from unips_jax.io.images import image_header
+path = pathlib.Path(sys.argv[1])
+image_header(path.read_bytes(), path)
+"""
+    command = [sys.executable, "-c", code, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 def test_a_damaged_raw_file_is_one_quiet_error(tmp_path, capfd):
@@ -107,14 +181,62 @@ def heic(path, picture, **options):
 def test_heic_whatever_it_is_called(tmp_path):
     picture = smooth(np.uint8, height=HEIGHT, width=WIDTH)
     exif = Image.Exif()
-    exif[0x010F], exif[0x0112] = "Phone", 6  # the decoder turns it
-    for name in ("a.heic", "b.jpg", "c.HEIF"):
+    exif[0x010F], exif[0x0112] = "Phone", 6
+    for name in ("a.heic", "b.jpg", "c.HEIF", "d.HIF"):
         file = read_image_file(heic(tmp_path / name, picture, exif=exif.tobytes()))
         upright = np.rot90(picture, 3)
         assert np.abs(file.pixels.astype(int) - upright).max() <= 6
-        assert (file.orientation, file.header.camera) == (1, "Phone")
+        assert (file.orientation, file.header.camera) == (6, "Phone")
         assert file.encoding.transfer == "srgb"
-    assert select(tmp_path).names == ("a.heic", "b.jpg", "c.HEIF")
+    assert select(tmp_path).names == ("a.heic", "b.jpg", "c.HEIF", "d.HIF")
+
+
+def turned_heic(path, picture, orientation):
+    """A picture stored as it is, which viewers turn."""
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    return heic(path, picture, exif=exif.tobytes())
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_heic_is_turned_as_viewers_do(tmp_path, orientation):
+    picture = smooth(np.uint8, height=HEIGHT, width=WIDTH)
+    file = read_image_file(turned_heic(tmp_path / "a.heic", picture, orientation))
+    shown = turned(picture, orientation)
+    assert file.pixels.shape == shown.shape and file.orientation == orientation
+    assert np.abs(file.pixels.astype(int) - shown).max() <= 6
+    assert (file.header.height, file.header.width) == (HEIGHT, WIDTH)  # as stored
+
+
+def test_heic_whose_exif_data_turn_nothing(tmp_path):
+    """By HEIF's rules its own boxes decide."""
+    picture = smooth(np.uint8, height=HEIGHT, width=WIDTH)
+    path = turned_heic(tmp_path / "a.heic", picture, 6)
+    data = path.read_bytes()
+    assert data.count(b"irot\3") == 1
+    path.write_bytes(data.replace(b"irot\3", b"irot\0"))
+    file = read_image_file(path)
+    assert file.orientation == 1 and file.pixels.shape == picture.shape
+
+
+@pytest.mark.parametrize("orientation", [3, 6, 8])
+def test_a_phone_that_looks_down_does_not_know_what_is_up(tmp_path, orientation):
+    picture = smooth(np.uint8, height=HEIGHT, width=WIDTH)
+    for name, tag in (("a", 1), ("b", orientation)):
+        turned_heic(tmp_path / f"{name}.heic", picture, tag)
+    turned_heic(tmp_path / "dark.heic", picture // 4, orientation)
+    capture = read_capture(select(tmp_path, exclude=["dark*"]))
+    for image in capture.images:
+        assert np.abs(image.astype(int) - picture).max() <= 6
+    (note,) = capture.notes
+    assert note.startswith("other EXIF orientation than a.heic: b.heic; turned")
+    assert capture.orientation == 1  # SfMData has HEIC as it is shown
+    dark = read_image_file(tmp_path / "dark.heic")
+    left = as_linear(without_ambient(capture, dark, ["a", "b"]).images, "srgb")
+    expected = as_linear(picture, "srgb") - as_linear(picture // 4, "srgb")
+    assert np.abs(left - expected).max() < 0.05
+    first = read_capture(select(tmp_path, include=["b*"]))
+    assert (first.exif_orientation, first.orientation) == (orientation, 1)
 
 
 def test_heic_and_avif_that_are_cut_out_or_damaged(tmp_path, capfd):
@@ -216,3 +338,20 @@ def test_float_tiff_with_alpha(tmp_path):
     capture = read_capture(select(tmp_path))
     np.testing.assert_array_equal(capture.images[0], picture)
     np.testing.assert_array_equal(capture.mask, alpha[..., 0] > 0)
+
+
+@pytest.mark.parametrize("suffix", [".tga", ".exr"])
+def test_alpha_of_zero_everywhere_is_none(tmp_path, suffix):
+    """As programs write it that know no alpha."""
+    dtype = np.float32 if suffix == ".exr" else np.uint8
+    picture = np.dstack([smooth(dtype), np.zeros(smooth(dtype).shape[:2], dtype)])
+    for index in range(2):
+        path = tmp_path / f"{index}{suffix}"
+        if suffix == ".tga":
+            Image.fromarray(picture).save(path)
+        else:
+            OpenEXR.File({}, {"RGBA": picture}).write(str(path))
+    capture = read_capture(select(tmp_path))
+    np.testing.assert_array_equal(capture.images[1], picture[..., :3])
+    assert capture.opaque is None and not capture.notes
+    assert capture.mask.mean() > 0.9

@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import struct
 
 import numpy as np
 import pytest
@@ -141,3 +142,18 @@ def test_a_changed_byte_of_the_size_is_no_traceback(tmp_path, byte):
         changed[entry + 2 + byte] ^= 1 << bit
         with contextlib.suppress(InputError):
             read(tmp_path / "a.tif", bytes(changed))
+
+
+def test_text_of_exif_3_hides_no_picture(tmp_path):
+    """Its UTF-8 texts have a type of their own, which may stand in any directory."""
+    pixels = noise(np.uint8, 3)
+    text = (129, [*"Schärfe".encode(), 0])
+    for tag in (270, 305, 315, 42037):
+        file = read(tmp_path / "a.tif", tiff([{"pixels": pixels, "tags": {tag: text}}]))
+        np.testing.assert_array_equal(file.pixels, pixels)
+    for tag in (256, 258, 277, 273):
+        data = tiff([{"pixels": pixels}])
+        at = data.index(struct.pack("<H", tag), int.from_bytes(data[4:8], "little"))
+        data = data[: at + 2] + struct.pack("<H", 129) + data[at + 4 :]
+        with pytest.raises(InputError, match=f"{tag} .*invalid data type 129"):
+            read(tmp_path / "a.tif", data)

@@ -111,6 +111,41 @@ def test_names_decide_only_between_files(tmp_path, name):
     assert select(tmp_path).names == ("a.png",)
 
 
+def test_planes_of_a_texture_map_lie_next_to_its_record(tmp_path):
+    """Photographs of a toy plane do not."""
+    planes = [f"plane_{index}.jpg" for index in range(12)]
+    touch(tmp_path, *planes)
+    assert select(tmp_path).names == tuple(planes)
+    for record in ("info.json", "normals.json"):
+        touch(tmp_path, record)
+        selection = select(tmp_path)
+        assert selection.names == tuple(planes[6:])
+        assert selection.left_out["a map or output, by its name"] == planes[:6]
+        assert select(tmp_path, include=["plane_?.jpg"]).names == tuple(planes[:10])
+        (tmp_path / record).unlink()
+    touch(tmp_path, "info.json", "a.png")
+    for index in range(6, 12):
+        (tmp_path / planes[index]).unlink()
+    assert select(tmp_path).names == ("a.png",)
+
+
+def test_a_pattern_that_fits_no_file_is_named(tmp_path):
+    touch(tmp_path, "a.png", "b.png", "mask.png")
+    selection = select(tmp_path, exclude=["b*", "mask*", "c*", "B.PNG?"])
+    assert selection.names == ("a.png",)
+    unmet = selection.left_out["by --exclude, which fits no file"]
+    assert unmet == ["c*", "B.PNG?"]
+    assert (
+        "by --exclude, which fits no file"
+        not in select(tmp_path, exclude=["b*"]).left_out
+    )
+
+
+def test_heif_of_cameras_is_an_image(tmp_path):
+    touch(tmp_path, "DSC1.HIF", "DSC1.JPG", "DSC2.HIF", "DSC2.JPG")
+    assert select(tmp_path).names == ("DSC1.HIF", "DSC2.HIF")
+
+
 def test_maps_alone_are_no_photographs(tmp_path):
     touch(tmp_path, "normal_1.png", "normal_2.png", "ball_depth.png")
     with pytest.raises(InputError, match="got none; 3 left out .a map or output"):

@@ -17,7 +17,7 @@ from unips_jax.app.worker import Worker
 from unips_jax.errors import InputError
 
 _SETTLED_S = 0.7  # after an upload, before all photographs are read together
-_QUICK = frozenset(".png .jpg .jpeg .bmp .webp .heic .heif .avif".split())
+_QUICK = frozenset(".png .jpg .jpeg .bmp .webp .heic .heif .hif .avif".split())
 
 
 class Progress:

@@ -12,6 +12,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer
 from unips_jax.io.formats import Encoded
 from unips_jax.io.images import MAX_PIXELS, image_header, read_bytes
+from unips_jax.io.orientation import ADVICE
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.selection import Selection
 
@@ -111,8 +112,7 @@ _KINDS: dict[str, tuple[Callable[[Encoded], Hashable], str]] = {
     ),
     "mixed orientations": (
         lambda h: f"orientation {h.orientation}",
-        "if the camera stood still, remove the tag from all files (exiftool "
-        "-Orientation= FILES)",
+        f"if the camera stood still, {ADVICE}",
     ),
     "mixed types": (
         lambda h: f"{h.dtype} pixels",

@@ -50,7 +50,7 @@ def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> 
     dark frame is of another kind, or brighter than a photograph.
     """
     images = capture.images
-    dark = as_oriented(dark, capture.orientation)  # the camera stood still
+    dark = as_oriented(dark, capture.exif_orientation)  # the camera stood still
     encoding = capture.encoding or dark.encoding
     if encoding.rule != "--transfer" and not dark.encoding.agrees(encoding):
         raise InputError(

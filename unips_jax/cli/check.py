@@ -90,6 +90,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 def _looked_at(folder: Path, options: Options) -> dict[str, Any]:
     """What is found in a folder or a normal map; printed, unless as JSON."""
     if is_normal_map(folder):
+        _require_none_of_photographs(folder, options)
         found = read_normal_map(folder, options.normal_map)
         if not options.json:
             _print_normal_map(folder, found)
@@ -98,6 +99,17 @@ def _looked_at(folder: Path, options: Options) -> dict[str, Any]:
     if not options.json:
         _print(report)
     return report.record()
+
+
+def _require_none_of_photographs(path: Path, options: Options) -> None:
+    names = ("mask", "include", "exclude", "transfer", "max_pixels")
+    given = [n for n in names if getattr(options, n) != getattr(Options, n)]
+    if given:
+        shown = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise InputError(
+            f"{path}: expected options of a normal map, got {shown}, of photographs; "
+            "leave them out, or name a folder"
+        )
 
 
 def _check(folder: Path, options: Options, source: Path | None = None) -> Report:
@@ -143,6 +155,8 @@ def _print_normal_map(path: Path, found: Examined) -> None:
         print_line("normals", text)
     for text in found.doubts:
         print_line("look", text)
+    if any("--" in text for text in (*found.mended, *found.doubts)):
+        print_line("", "options named here are of `unips surface` and `unips relight`")
     if not (found.mended or found.doubts):
         print_line("", "nothing found that is wrong")
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,18 @@ _SRGB_XYZ = np.array(
         [0.01392, 0.09708, 0.7141],
     ]
 )
+_BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+_D65 = (0.3127, 0.329)
+_SRGB = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, *_D65)
+ADOBE_RGB = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *_D65)
+PRIMARIES: dict[int, tuple[float, ...]] = {
+    9: (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, *_D65),
+    12: (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, *_D65),
+}
+"""Chromaticities x, y of red, green, blue and white, for the codes of wide colours in
+ITU-T H.273, table 2: BT.2020 and Display P3."""
 _ALIKE = 0.01  # of linear light: sRGB and a gamma of 2.2 differ by 0.009 at most
 
 
@@ -103,6 +115,7 @@ def encoding_of(
     code: int = 0,
     gamma: float = 0,
     srgb: bool = False,
+    primaries: Sequence[float] = (),
 ) -> Encoding:
     """How a file's values encode light: by its colour profile, tags or type, in turn.
 
@@ -111,30 +124,41 @@ def encoding_of(
     of a transfer code has 16 bits, since PQ puts all that papers reflect below 2%.
     Without any tag 8 bit is sRGB, since cameras, phones and programs write it so, and
     16 bit and float linear, since raw converters for measurement, data sets and
-    renderers write them so.
+    renderers write them so. `primaries`: chromaticities as in `PRIMARIES`; empty where
+    unknown.
     """
     curve = icc_curve(icc)
     if curve is not None:
         found = _encoding(np.dtype(dtype), curve, "colour profile in the file")
-        to_srgb = icc_to_srgb(icc)
-        if to_srgb is None:
-            return found
-        rule = f"{found.rule}; colours of its own"
-        return dataclasses.replace(found, rule=rule, to_srgb=to_srgb)
+        return _of_colors(found, icc_to_srgb(icc))
     if icc:  # by tables, as of printers and of sRGB's own fourth version
         return Encoding("srgb", "colour profile in the file, taken as sRGB")
+    return _of_colors(
+        _encoding_of_tags(np.dtype(dtype), code, gamma, srgb),
+        primaries_to_srgb(primaries),
+    )
+
+
+def _encoding_of_tags(dtype: np.dtype, code: int, gamma: float, srgb: bool) -> Encoding:
     if code:
         title, curve_of = CURVES[code]
         curve = np.clip(curve_of(np.linspace(0, 1, _SAMPLES)), 0, 1)
-        return _encoding(np.dtype(dtype), curve, f"{title} code in the file", np.uint16)
+        return _encoding(dtype, curve, f"{title} code in the file", np.uint16)
     if srgb:
         return Encoding("srgb", "sRGB tag in the file")
     if gamma > 0:
         curve = np.linspace(0, 1, _SAMPLES) ** (1 / gamma)
-        return _encoding(np.dtype(dtype), curve, f"gamma of {gamma:.3g} in the file")
-    name = {1: "8-bit values", 2: "16-bit values"}.get(np.dtype(dtype).itemsize)
-    transfer: Transfer = "srgb" if np.dtype(dtype) == np.uint8 else "linear"
+        return _encoding(dtype, curve, f"gamma of {gamma:.3g} in the file")
+    name = {1: "8-bit values", 2: "16-bit values"}.get(dtype.itemsize)
+    transfer: Transfer = "srgb" if dtype == np.uint8 else "linear"
     return Encoding(transfer, name or "floating-point values")
+
+
+def _of_colors(encoding: Encoding, to_srgb: np.ndarray | None) -> Encoding:
+    if to_srgb is None:
+        return encoding
+    rule = f"{encoding.rule}; colours of its own"
+    return dataclasses.replace(encoding, rule=rule, to_srgb=to_srgb)
 
 
 def icc_curve(profile: bytes) -> np.ndarray | None:
@@ -165,8 +189,38 @@ def icc_to_srgb(profile: bytes) -> np.ndarray | None:
         ]
     except (struct.error, KeyError):
         return None
-    matrix = np.linalg.solve(_SRGB_XYZ, np.transpose(columns) / 65536)
-    if np.abs(matrix - np.eye(3)).max() < 0.02 or np.abs(matrix).max() > 4:
+    return _unless_srgb(np.linalg.solve(_SRGB_XYZ, np.transpose(columns) / 65536))
+
+
+def primaries_to_srgb(chromaticities: Sequence[float]) -> np.ndarray | None:
+    """Linear sRGB by the linear RGB of chromaticities, `[3, 3]`; white stays white.
+
+    None where that is sRGB's own, or they are none.
+    """
+    if len(chromaticities) != 8:
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            matrix = np.linalg.solve(_xyz_of(_SRGB), _xyz_of(chromaticities))
+    except np.linalg.LinAlgError:
+        return None
+    return _unless_srgb(matrix)
+
+
+def _xyz_of(chromaticities: Sequence[float]) -> np.ndarray:
+    """XYZ of red, green and blue in columns, under D65 by Bradford's adaptation."""
+    x, y = np.reshape(chromaticities, (4, 2)).astype(float).T
+    columns = np.stack([x / y, np.ones(4), (1 - x - y) / y])
+    colors, white = columns[:, :3], columns[:, 3]
+    colors = colors * np.linalg.solve(colors, white)
+    d65 = np.array([_D65[0], _D65[1], 1 - sum(_D65)]) / _D65[1]
+    cones = (_BRADFORD @ d65) / (_BRADFORD @ white)
+    return np.linalg.solve(_BRADFORD, cones[:, None] * (_BRADFORD @ colors))
+
+
+def _unless_srgb(matrix: np.ndarray) -> np.ndarray | None:
+    alike = np.abs(matrix - np.eye(3)).max() < 0.02
+    if alike or not np.abs(matrix).max() <= 4:  # or not finite
         return None
     return matrix.astype(np.float32)
 

@@ -17,7 +17,7 @@ VIDEO_SUFFIXES = frozenset(
 
 _BETTER = (  # of a photograph in two formats; a camera's raw file is the best
     (".jpg", ".jpeg", ".jfif", ".mpo"),
-    (".heic", ".heif", ".avif", ".webp"),
+    (".heic", ".heif", ".hif", ".avif", ".webp"),
     (".png", ".bmp", ".tga"),
     (".tif", ".tiff"),
     (".exr",),

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.io.formats.encoded import turned_back
 from unips_jax.io.images import (
     MAX_PIXELS,
     ImageFile,
@@ -23,6 +24,10 @@ from unips_jax.io.images import (
     turned,
 )
 
+ADVICE = (
+    "remove the tag from all files (exiftool -Orientation= FILES; of HEIC export PNG "
+    "that lie alike)"
+)
 _SIDE = 128  # pixels of the longer side, where edges are compared
 _ALIKE, _CLEARLY = 0.3, 0.15  # correlations
 
@@ -64,8 +69,7 @@ def require_orientation(file: ImageFile, first: ImageFile) -> None:
         raise InputError(
             f"{file.path}: expected EXIF orientation {first.orientation} as in "
             f"{first.path.name}, got {file.orientation}; if the camera stood still, "
-            "remove the tag from all files (exiftool -Orientation= FILES), else leave "
-            "this one out"
+            f"{ADVICE}, else leave this one out"
         )
 
 
@@ -89,13 +93,6 @@ def normals_as_stored(normals: np.ndarray, orientation: int) -> np.ndarray:
     x = -x if orientation in (2, 3, 6, 7) else x
     x, y = (y, x) if orientation >= 5 else (x, y)
     return np.stack([x, -y, stored[..., 2]], axis=-1)
-
-
-def turned_back(image: np.ndarray, orientation: int) -> np.ndarray:
-    """An image as viewers show it, as it is stored; orientation: 1 to 8."""
-    image = image[::-1] if orientation in (3, 4, 7, 8) else image
-    image = image[:, ::-1] if orientation in (2, 3, 6, 7) else image
-    return image.swapaxes(0, 1) if orientation >= 5 else image
 
 
 def _likeness(image: np.ndarray, other: np.ndarray) -> float:

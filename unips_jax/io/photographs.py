@@ -63,6 +63,8 @@ class Capture:
     mask_rule: str = ""  # what found it; empty where nothing did
     # how the first file's values encode light, and how it was turned by EXIF
     encoding: Encoding | None = None
+    exif_orientation: int = 1
+    # the same, but for HEIC, which every program turns: what lies as others read it
     orientation: int = 1
     # `[H, W]`, bool: where no photograph is transparent; None if that is everywhere
     opaque: np.ndarray | None = None
@@ -128,18 +130,19 @@ def read_capture(
         )
     if mask is None:
         notes += stack.leave_out(whole=selection.mask_file is None)
-    encoding = stack.encoding
+    encoding, first = stack.encoding, stack.first
     return Capture(
         stack.images,
         stack.mask,
         encoding.transfer,
         encoding.rule,
-        stack.first.focal,
+        first.focal,
         tuple(notes),
         tuple(stack.cameras),
         tuple(stack.exposures),
         encoding=encoding,
-        orientation=stack.first.orientation,
+        exif_orientation=first.orientation,
+        orientation=1 if first.header.format == "HEIC" else first.orientation,
         opaque=None if stack.opaque.all() else stack.opaque,
     )
 
@@ -194,7 +197,8 @@ class _Stack:
             np.maximum(image, 0, out=image)
         _require_light(file.path, image, self.mask)
         np.maximum(self.brightest, image.max(axis=-1), out=self.brightest)
-        if file.alpha is not None and not file.alpha.all():
+        # Programs that know no alpha leave it 0 everywhere.
+        if file.alpha is not None and file.alpha.any() and not file.alpha.all():
             self.opaque &= above_half(file.alpha)
 
     def leave_out(self, *, whole: bool) -> list[str]:

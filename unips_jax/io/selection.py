@@ -2,12 +2,12 @@
 
 What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or else `0*`;
 elsewhere every image file. Not a normal, depth or material map, a mask, ground truth or
-this package's own output, by their names (`is_map`), and never hidden files. Names
-decide only between files: if they leave none, a numbered series with such a word in its
-name (`metal_bowl_0.png`, ...) is taken. Patterns of the user's overrule names. An RTI's
-list of lights (.lp) names the photographs; one in two formats counts once. Files are in
-the natural order of their names (2 before 10); whatever is left out is listed with its
-reason.
+this package's own output, by their names (`is_map`; `plane_0.jpg` to `plane_5.jpg` next
+to its records), and never hidden files. Names decide only between files: if they leave
+none, a numbered series with such a word in its name (`metal_bowl_0.png`, ...) is taken.
+Patterns of the user's overrule names. An RTI's list of lights (.lp) names the
+photographs; one in two formats counts once. Files are in the natural order of their
+names (2 before 10); whatever is left out is listed with its reason.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ from unips_jax.io.naming import (
 
 SUFFIXES = RAW_SUFFIXES | frozenset(
     ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr".split()
-    + ".pgm .ppm .pnm .pbm .gif .tga .mpo .heic .heif .avif".split()
+    + ".pgm .ppm .pnm .pbm .gif .tga .mpo .heic .heif .hif .avif".split()
 )
 
 _UNREAD_SUFFIXES = frozenset(".jxl .jp2 .psd .xcf .svg .pdf".split())
@@ -41,12 +41,15 @@ _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|
 _MAP_NAME = re.compile(
     # Such a word of its own.
     rf"\b(?:{_MAP_WORDS}|albedo|gt)\b|^shading\b|^sheet$|^height$"
-    r"|^confidence$|^unreliable$|^plane [0-5]$",
+    r"|^confidence$|^unreliable$",
     re.IGNORECASE,
 )
 _MAP_ONLY = re.compile(
     rf"(?:{_MAP_WORDS}|albedo|shading|sheet|gt|[\W\d_])*", re.IGNORECASE
 )
+
+_PLANE = re.compile(r"plane_[0-5]\.jpg")  # of a texture map
+_PLANES_OF = {"info.json", "normals.json"}
 
 
 def is_map(name: str) -> bool:
@@ -119,6 +122,7 @@ def select(
         entries = [e for e in in_order(folder) if not e.name.startswith(".")]
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
+    unmet = [p for p in exclude if not any(_fits(e, [p]) for e in entries)]
     own = [e for e in entries if _is_mask(e) and not _fits(e, exclude)]
     unused = "by --mask none" if not masks else "a mask, and another one is given"
     if masks and mask_file is None:
@@ -129,6 +133,8 @@ def select(
     images, left_out = _images(entries, mask_file, include, exclude)
     if others := [e.name for e in own if not (mask_file and _same(e, mask_file))]:
         left_out[unused] = others
+    if unmet:
+        left_out["by --exclude, which fits no file"] = unmet
     files = images if include else _by_name(folder, entries, images, left_out)
     files = each_once(files, left_out)
     if not files:
@@ -235,7 +241,9 @@ def _by_name(
     for path in (e for e in entries if e.suffix.lower() == ".lp" and e.is_file()):
         if files := _listed(path, images, left_out):
             return files
-    files = [file for file in images if not is_map(file.name)] or series_of(images)
+    own = any(entry.name in _PLANES_OF for entry in entries)
+    some = [f for f in images if not (own and _PLANE.fullmatch(f.name))]
+    files = [file for file in some if not is_map(file.name)] or series_of(some)
     maps = [file.name for file in images if file not in files]
     if maps:
         left_out["a map or output, by its name"] = maps

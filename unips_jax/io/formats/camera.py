@@ -6,6 +6,7 @@ demosaiced, white-balanced as the camera did, in sRGB's primaries, up to the sen
 white; 16 bit, linear.
 """
 
+import datetime
 import io
 import re
 from typing import Any
@@ -18,15 +19,20 @@ from unips_jax.errors import install_hint
 from unips_jax.io.formats.encoded import (
     Encoded,
     NotRead,
+    box_primaries,
     box_transfer_code,
     exif_facts,
+    exposure_of,
     known_code,
+    turned_back,
 )
 from unips_jax.io.formats.exr import quiet
-from unips_jax.io.formats.tiff import raw_time
+from unips_jax.io.formats.tiff import raw_facts
 
 _FLIPS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's and EXIF's orientations
 _BOXES = 1 << 20  # bytes at the beginning, in which what describes the picture lies
+_TURNS = {3: b"irot\2", 6: b"irot\3", 8: b"irot\1"}  # boxes by EXIF's orientation
+_KNOWN_OF_RAW = ("camera", "exposure", "focal_35mm", "taken")
 _AV1 = re.compile(rb"av1C..(.)", re.DOTALL)  # bits of an AVIF's samples
 _BYTE = np.dtype(np.uint8)
 
@@ -41,7 +47,7 @@ def open_raw(data: bytes, name: str) -> Encoded:
         ) from None
     try:
         with quiet(), rawpy.imread(io.BytesIO(data)) as raw:
-            sizes = raw.sizes
+            sizes, facts = raw.sizes, _shot(raw)
     except rawpy.LibRawFileUnsupportedError:
         raise NotRead(
             f"{name} that is damaged or that LibRaw does not know",
@@ -60,23 +66,38 @@ def open_raw(data: bytes, name: str) -> Encoded:
                 user_flip=0,
             )
 
-    orientation = _FLIPS.get(sizes.flip, 1)
-    dtype = np.dtype(np.uint16)
+    aspect = sizes.pixel_aspect  # of pixels that are not square, LibRaw makes square
+    found = raw_facts(data)
+    facts |= {name: found[name] for name in _KNOWN_OF_RAW if found.get(name)}
     return Encoded(
         "raw",
-        sizes.iheight,
-        sizes.iwidth,
+        int(sizes.iheight / min(aspect, 1) + 0.5),
+        int(sizes.iwidth * max(aspect, 1) + 0.5),
         3,
         False,
-        dtype,
+        np.dtype(np.uint16),
         decode,
-        orientation=orientation,
-        taken=raw_time(data),
+        orientation=_FLIPS.get(sizes.flip, 1),
+        **facts,
     )
 
 
+def _shot(raw: Any) -> dict[str, Any]:
+    """How a raw file was exposed, and when, where LibRaw and its binding tell."""
+    other = getattr(raw, "other", None)
+    if other is None:
+        return {}
+    exposure = exposure_of(other.shutter_speed, other.aperture, other.iso_speed)
+    taken = other.timestamp.replace(tzinfo=datetime.UTC).timestamp()
+    return {"exposure": exposure, "taken": max(taken, 0)}
+
+
 def open_heic(data: bytes) -> Encoded:
-    """Reads a HEIC picture, the primary one of several; the decoder turns it."""
+    """Reads a HEIC picture, the primary one of several.
+
+    The decoder turns it, which is undone: photographs of a camera that stood still lie
+    alike as they are stored.
+    """
     try:
         import pillow_heif
     except ImportError:
@@ -89,8 +110,11 @@ def open_heic(data: bytes) -> Encoded:
     channels = {"L": 1, "RGB": 3, "RGBA": 4}.get(mode)
     if channels is None:
         raise NotRead(f"a HEIC picture of {image.mode} pixels")
-    width, height = image.size
     facts = exif_facts(image.info.get("exif") or b"")
+    turn = facts["orientation"]
+    if _TURNS.get(turn, b"imir") not in data[:_BOXES]:
+        turn = 1  # by HEIF's rules EXIF data turn nothing
+    width, height = image.size if turn < 5 else image.size[::-1]
     return Encoded(
         "HEIC",
         height,
@@ -98,10 +122,10 @@ def open_heic(data: bytes) -> Encoded:
         channels,
         channels == 4,
         np.dtype(np.uint16) if deep else _BYTE,
-        lambda: np.asarray(image),
+        lambda: turned_back(np.asarray(image), turn),
         icc=image.info.get("icc_profile") or b"",
         code=code,
-        **(facts | {"orientation": 1, "srgb": facts["srgb"] or bool(deep)}),
+        **(facts | _colours(data, facts, bool(deep)) | {"orientation": turn}),
     )
 
 
@@ -137,5 +161,11 @@ def open_avif(data: bytes) -> Encoded:
         decode,
         icc=image.info.get("icc_profile") or b"",
         code=known_code(box_transfer_code(data[:_BOXES]), "an AVIF picture"),
-        **(facts | {"srgb": facts["srgb"] or bits > 8}),
+        **(facts | _colours(data, facts, bits > 8)),
     )
+
+
+def _colours(data: bytes, facts: dict[str, Any], deep: bool) -> dict[str, Any]:
+    """Fields of `Encoded` by boxes, which come before EXIF data, and by depth."""
+    primaries = box_primaries(data[:_BOXES])
+    return {"primaries": primaries, "srgb": facts["srgb"] or deep}

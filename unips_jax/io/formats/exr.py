@@ -57,6 +57,7 @@ def open_exr(data: bytes, *, vectors: bool = False) -> Encoded:
         np.dtype(np.float32),
         decode,
         allocated=max(map(_allocated, headers)),  # all parts are decoded
+        primaries=tuple(header.get("chromaticities", ())),
     )
 
 

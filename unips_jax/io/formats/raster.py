@@ -14,6 +14,7 @@ import numpy as np
 import simplejpeg
 from PIL import Image
 
+from unips_jax.io.color import PRIMARIES
 from unips_jax.io.formats.encoded import (
     Damaged,
     Encoded,
@@ -29,7 +30,9 @@ _MARKER = re.compile(rb"\xff([^\0\xff])", re.DOTALL)
 JPEG_MAGIC = b"\xff\xd8\xff"
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
-_FRAMES = {0xC0, 0xC1, 0xC2, 0xC9, 0xCA}  # baseline, extended, progressive
+_SEQUENTIAL = {0xC0, 0xC1, 0xC9}  # baseline, extended
+_FRAMES = {*_SEQUENTIAL, 0xC2, 0xCA}  # progressive ones too
+_SCAN = 0xDA
 _OTHER_FRAMES = {0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 _PROFILE_LIMIT = 4 << 20  # bytes of a colour profile
@@ -39,13 +42,17 @@ _BYTE = np.dtype(np.uint8)
 
 def open_jpeg(data: bytes) -> Encoded:
     """Reads a JPEG's segments; see `formats.open_encoded`."""
-    frame, exif, icc, kept = None, b"", [], [data[:2]]
+    frame, exif, icc, kept, sequential = None, b"", [], [data[:2]], False
     for marker, start, end in jpeg_segments(data):
         kept.append(data[start - 4 : end])
         if marker in _OTHER_FRAMES:
             raise NotRead("a lossless or hierarchical JPEG")
         if marker in _FRAMES:
             frame = struct.unpack_from(">BHHB", data, start)
+            sequential = marker in _SEQUENTIAL
+        if marker == _SCAN and sequential:
+            # All coefficients, which some phones state as none: decoders complain.
+            kept[-1] = kept[-1][:-3] + b"\0\x3f\0"
         if marker == 0xE1 and data[start : start + 6] == b"Exif\0\0":
             exif = exif or data[start:end]
         if marker == 0xE2 and data[start : start + 12] == b"ICC_PROFILE\0":
@@ -88,7 +95,7 @@ def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
         start = found.end() + 2
         position = found.end() + int.from_bytes(data[found.end() : start], "big")
         yield found[1][0], start, position
-        if found[1] == b"\xda":
+        if found[1][0] == _SCAN:
             return
     raise Damaged(f"more than {_PARTS} segments")
 
@@ -133,12 +140,13 @@ def open_png(data: bytes) -> Encoded:
 
 def _png_colours(chunks: dict[bytes, bytes]) -> dict[str, Any]:
     """Fields of `Encoded` by the first of cICP, iCCP, sRGB and gAMA."""
-    if code := known_code(chunks.get(b"cICP", b"").ljust(2, b"\0")[1], "a PNG"):
-        return {"code": code}
+    primaries, transfer = chunks.get(b"cICP", b"").ljust(2, b"\0")[:2]
+    if code := known_code(transfer, "a PNG"):
+        return {"code": code, "primaries": PRIMARIES.get(primaries, ())}
     if icc := _unpacked_profile(chunks.get(b"iCCP", b"")):
         return {"icc": icc}
     if b"sRGB" in chunks:
-        return {"srgb": True}
+        return {"srgb": True, "primaries": ()}
     if len(gamma := chunks.get(b"gAMA", b"")) == 4:
         return {"gamma": int.from_bytes(gamma, "big") / 100_000}
     return {}

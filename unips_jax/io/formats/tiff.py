@@ -9,6 +9,7 @@ and palettes, with alpha of either kind, which is not divided out.
 import functools
 import io
 import logging
+import re
 import struct
 import threading
 from typing import Any, BinaryIO
@@ -16,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import tifffile
 
-from unips_jax.io.formats.encoded import Damaged, Encoded, NotRead, facts_of, time_of
+from unips_jax.io.formats.encoded import TAGS, Damaged, Encoded, NotRead, facts_by
 
 _BIG = (b"II+\0", b"MM\0+")
 MAGICS = (b"II*\0", b"MM\0*", *_BIG)
@@ -31,7 +32,21 @@ _FLOAT = 3
 _REDUCED, _TRANSPARENCY = 1, 4
 _ALPHA = (1, 2)  # associated, unassociated
 _UNSPECIFIED = 0
-_EXIF, _ICC = 34665, 34675
+_EXIF, _ICC, _ORIENTATION, _COLOURS = 34665, 34675, 274, 40961
+# What pixels follow from, of a photograph's tags.
+_NEEDED = {
+    *range(254, 267),
+    273,
+    _ORIENTATION,
+    *range(277, 280),
+    284,
+    292,
+    293,
+    317,
+    320,
+}
+_NEEDED |= {*range(322, 326), 338, 339, _ICC}
+_UNKNOWN_TYPE = re.compile(r"TiffTag (\d+) .*invalid data type|invalid .* tag #(\d+)")
 _MAKER, _SUB_FILES, _DNG_VERSION = 271, 330, 50706
 
 
@@ -53,6 +68,7 @@ class _Complaints(logging.Handler):
 
 @functools.cache
 def _complaints() -> _Complaints:
+    """What is to be there before tifffile is, which else writes to the terminal."""
     handler = _Complaints()
     logging.getLogger("tifffile").addHandler(handler)
     return handler
@@ -90,7 +106,9 @@ def open_tiff(data: bytes) -> Encoded:
     tiff = tifffile.TiffFile(io.BytesIO(data))
     page = _photograph(tiff)
     for line in complaints.lines():
-        raise Damaged(f"the decoder says: {line[:120]}")
+        found = _UNKNOWN_TYPE.search(line)
+        if not found or int(found[1] or found[2]) in _NEEDED:
+            raise Damaged(f"the decoder says: {line[:120]}")
     return open_page(page)
 
 
@@ -115,8 +133,6 @@ def open_page(page: tifffile.TiffPage) -> Encoded:
             return (np.asarray(page.colormap)[:, pixels] >> 8).transpose(1, 2, 0)
         return _scaled(pixels, bits, page.photometric == _WHITE_IS_ZERO, colours)
 
-    exif = _exif(page)
-    facts = exif.get("FocalLengthIn35mmFilm"), exif.get("ColorSpace")
     return Encoded(
         "TIFF",
         page.imagelength,
@@ -127,32 +143,38 @@ def open_page(page: tifffile.TiffPage) -> Encoded:
         lambda: decode().astype(np.uint8 if palette else kind, copy=False),
         allocated=_tiled_size(page),
         icc=bytes(tags.valueof(_ICC) or b""),
-        taken=_taken(exif),
-        **facts_of(tags.valueof(274), *facts),  # type: ignore[arg-type]
+        **_facts(page),
     )
 
 
-def raw_time(data: bytes) -> float:
-    """When a raw file that has the form of a TIFF was taken; 0 where unknown."""
+def raw_facts(data: bytes) -> dict[str, Any]:
+    """Fields of `Encoded` by the EXIF data of a raw file that has a TIFF's form."""
+    _complaints()
     try:
-        return _taken(_exif(tifffile.TiffFile(io.BytesIO(data)).pages.first))
+        return _facts(tifffile.TiffFile(io.BytesIO(data)).pages.first)
     except Exception:  # other forms, and damaged ones
-        return 0
+        return {}
 
 
-def _exif(page: Any) -> dict[str, Any]:
+def _facts(page: Any) -> dict[str, Any]:
+    """Fields of `Encoded` by a page's EXIF data, and tags of its own."""
     exif = page.tags.valueof(_EXIF)
-    return exif if isinstance(exif, dict) else {}
-
-
-def _taken(exif: dict[str, Any]) -> float:
-    return time_of(exif.get("DateTimeOriginal"), exif.get("SubsecTimeOriginal", ""))
+    named = exif if isinstance(exif, dict) else {}
+    found = {}
+    for number in TAGS:
+        value = None if number == _COLOURS else page.tags.valueof(number)
+        if number != _ORIENTATION:
+            for name in tifffile.TIFF.EXIF_TAGS.getall(number, []):
+                value = named.get(name, value)
+        found[number] = value
+    return facts_by(found)
 
 
 def raw_kind(data: bytes) -> str:
     """Names the raw file that has the form of a TIFF; empty where it is none."""
     if data[8:10] == b"CR":
         return "a camera's raw file (CR2)"
+    _complaints()
     try:
         tiff = tifffile.TiffFile(io.BytesIO(data))
         page = tiff.pages.first

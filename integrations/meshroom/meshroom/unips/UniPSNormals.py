@@ -22,8 +22,8 @@ MAPS = {"mask", "normal", "normals", "depth", "albedo"}
 # As `unips estimate` knows them.
 IMAGES = set(
     ".png .jpg .jpeg .jfif .tif .tiff .webp .bmp .exr .hdr .pgm .ppm .pnm .pbm .gif"
-    " .tga .mpo .heic .heif .avif .dng .cr2 .cr3 .crw .nef .nrw .arw .srf .sr2 .raf"
-    " .rw2 .rwl .orf .pef .srw .x3f .3fr .fff .iiq .mrw .kdc .dcr .erf .mef .mos"
+    " .tga .mpo .heic .heif .hif .avif .dng .cr2 .cr3 .crw .nef .nrw .arw .srf .sr2"
+    " .raf .rw2 .rwl .orf .pef .srw .x3f .3fr .fff .iiq .mrw .kdc .dcr .erf .mef .mos"
     " .raw".split()
 )
 
