@@ -104,6 +104,13 @@ function spaceAt(depthBytes, [column, row]) {
 const resultPlace = (place) => place.map((value, axis) => data.first[axis] + value * data.scale);
 const picturePlace = (place) => place.map((value, axis) => (value - data.first[axis]) / data.scale);
 
+/** The result's size, as text, and its pixels to one of the result that a reader's notes
+ * were kept from, across and down; pages of earlier versions do not say its size. */
+const resultSize = new Map(data.facts).get("size");
+const grown = [0, 1].map((axis) => (kept.size ? resultSize.split(" x ")[axis] / kept.size.split(" x ")[axis] : 1));
+const sameShape = Math.abs(grown[0] / grown[1] - 1) < 0.01;
+const keptPlace = (place) => place.map((value, axis) => value * grown[axis]);
+
 function pixelAt(column, row) {
   const x = Math.floor(column);
   const y = Math.floor(row);
