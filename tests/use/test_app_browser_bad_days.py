@@ -23,7 +23,6 @@ from app_page import (
     press,
     press_visible,
     reload_at_once,
-    running,
     shown,
     text,
     until,

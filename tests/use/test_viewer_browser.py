@@ -291,7 +291,7 @@ def test_a_kept_scale_is_that_of_its_camera(driver, tmp_path, kept, stays):
     [(None, 1.0, True), ("48 x 48", 2.0, True), ("48 x 40", 2.0, False)],
 )
 def test_what_was_kept_goes_with_the_size(driver, tmp_path, kept, scale, same):
-    """Of a result of half the size a pixel is twice as long; of another shape unknown."""
+    """Of half the size a pixel is twice as long; of another shape it is not known."""
 
     def shown(mm, places, **size):
         notes = [{"place": place, "text": "a dent"} for place in places]

@@ -7,7 +7,8 @@ const byId = (name) => document.getElementById(name);
 const data = JSON.parse(byId("data").textContent);
 const kept = JSON.parse(byId("notes").textContent); // what a reader saved: see notes.js
 
-let language = (location.hash.slice(1) || data.language || navigator.language).startsWith("de") ? "de" : "en";
+// Of a frame it may be that of the page around.
+let language = (location.hash.slice(1) || window.frameElement?.lang || navigator.language).startsWith("de") ? "de" : "en";
 
 /** A text of the table; {0}, {1}, ... are the values. */
 function say(key, ...values) {
