@@ -1,8 +1,10 @@
 """The page that runs in a browser alone: built, served, opened, its mask drawn."""
 
+import base64
 import contextlib
 import functools
 import http.server
+import mimetypes
 import os
 import runpy
 import shutil
@@ -32,6 +34,17 @@ with pytest.MonkeyPatch.context() as patched:
 ALONE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 PATIENCE_S = 1200  # several processes may share two cores
 STATUS = "document.getElementById('status').textContent"
+SETTLED = f"/found|stands out|is not the object/.test({STATUS})"
+DROP = """
+const transfer = new DataTransfer();
+for (const [name, type, text] of arguments[0]) {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  transfer.items.add(new File([bytes], name, { type }));
+}
+document.getElementById("status").textContent = "";
+document.dispatchEvent(
+  new DragEvent("drop", { dataTransfer: transfer, cancelable: true }));
+"""
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
@@ -71,6 +84,23 @@ def until(driver, condition):
         time.sleep(0.1)
 
 
+def drop(page, paths):
+    files = [
+        [
+            path.name,
+            mimetypes.guess_type(path)[0] or "",
+            base64.b64encode(path.read_bytes()).decode(),
+        ]
+        for path in paths
+    ]
+    page.execute_script(DROP, files)
+
+
+def drop_and_wait(page, paths):
+    drop(page, paths)
+    until(page, f"return {SETTLED}")
+
+
 def overlap(a, b):
     return (a & b).sum() / (a | b).sum()
 
@@ -91,8 +121,8 @@ def drag(driver, tool, *places):
         const box = canvas.getBoundingClientRect();
         const send = (kind, [x, y]) => canvas.dispatchEvent(new PointerEvent(kind, {
           pointerId: 1, isPrimary: true, button: 0, bubbles: true, cancelable: true,
-          clientX: box.left + x * box.width / canvas.width,
-          clientY: box.top + y * box.height / canvas.height }));
+          clientX: box.left + x * box.width / canvas.width / unips.editor.step,
+          clientY: box.top + y * box.height / canvas.height / unips.editor.step }));
         canvas.setPointerCapture = () => {};
         send("pointerdown", places[0]);
         for (const place of places.slice(1)) send("pointermove", place);

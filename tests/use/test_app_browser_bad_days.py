@@ -3,9 +3,7 @@
 import json
 import signal
 import time
-import urllib.request
 
-import known_results
 import numpy as np
 import pytest
 
@@ -25,7 +23,6 @@ from app_page import (
     press,
     press_visible,
     reload_at_once,
-    running,
     shown,
     text,
     until,
@@ -38,9 +35,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
-from unips_jax.app.objects import opened
 from unips_jax.io.images import read_image, write_image
-from unips_jax.viewer.page import write_view
 
 pytestmark = pytest.mark.skipif(ABSENT, reason="chromium or its driver is absent")
 
@@ -115,6 +110,7 @@ document.getElementById(arguments[0]).dispatchEvent(dropped)
 
 def test_a_dropped_folder_gives_the_object_its_name(stand_in):
     """Also after a draft was looked at and left, and into a draft."""
+    folders = DROP.replace("isFile: true", "isDirectory: true")
 
     def name():
         return driver.find_element(By.ID, "name").get_property("value")
@@ -124,6 +120,9 @@ def test_a_dropped_folder_gives_the_object_its_name(stand_in):
             open_page(driver, stand_in.address)
             driver.execute_script("location.hash = ''")
             until(driver, lambda: shown(driver, "first-drop"))
+            driver.execute_script(folders, "first-drop")
+            until(driver, lambda: "no files in vase itself" in text(driver, "message"))
+            ActionChains(driver).send_keys(Keys.ESCAPE).perform()
             driver.execute_script(DROP, "first-drop")
             until(driver, lambda: name() == "vase" and "notes" in text(driver, "aside"))
             driver.execute_script("location.hash = ''")
@@ -265,6 +264,28 @@ HTMLImageElement.prototype.decode = async function () {
 }"""
 
 
+@pytest.mark.parametrize("slow", ["picture.jpg", "mask.png"])
+def test_what_is_drawn_while_pictures_load_is_shown(stand_in, tmp_path, slow):
+    paths = written(tmp_path, SIDE)
+    with browser(1200, 1100) as driver:
+        open_page(driver, stand_in.address)
+        upload(driver, paths[:-1])
+        until(driver, lambda: can_estimate(driver))
+        before = object_share(driver)
+        driver.execute_script(SLOW, slow)
+        upload(driver, paths[-1:])
+        asked = f"return performance.getEntriesByType('resource').some((e) => /{slow}/"
+        driver.execute_script("performance.clearResourceTimings()")
+        until(driver, lambda: driver.execute_script(f"{asked}.test(e.name))"))
+        press_visible(driver, "[data-mask-tool=erase]")
+        driver.execute_script(STROKE)
+        drawn = object_share(driver)
+        assert drawn < before - 0.02
+        time.sleep(4)  # the server has it, and the picture is there
+        until(driver, lambda: can_estimate(driver))
+        assert object_share(driver) == drawn
+
+
 def test_a_slow_picture_of_another_object_comes_too_late(stand_in, tmp_path):
     def mask_of(key):
         file = stand_in.results / ".app" / key / "object.json"
@@ -293,64 +314,3 @@ def test_a_slow_picture_of_another_object_comes_too_late(stand_in, tmp_path):
         press(driver, "mask-all")
         until(driver, lambda: "whole" in map(mask_of, addresses))
         assert [mask_of(key) for key in addresses] == ["auto", "whole"]
-
-
-def finished(results, name):
-    """An object with a result, as an estimate leaves it."""
-    folder = results / f"{name}-2026-01-01"
-    known_results.write_folder(folder, results / f"{name}-photographs")
-    write_view(folder / "view.html", known_results.result(title=name))
-    with opened(results, days=30) as objects:
-        item = objects.begin(name)
-        item.state, item.target, item.asked = "done", str(folder), time.time()
-        item.save()
-    return item.id
-
-
-def test_a_result_is_left_and_found_again(tmp_path):
-    """Notes are still there, and "back" leads where one was."""
-    results = tmp_path / "results"
-    results.mkdir()
-    keys = [finished(results, name) for name in ("cat", "dog")]
-
-    def notes():
-        driver.switch_to.frame("viewer")
-        count = len(driver.find_elements(By.CSS_SELECTOR, "#notes-list li"))
-        driver.switch_to.default_content()
-        return count
-
-    def part():
-        return driver.current_url.partition("#")[2]
-
-    with running(results) as server, browser(1200, 1000) as driver:
-        open_page(driver, server.with_key)
-        until(driver, lambda: shown(driver, "first-drop"))
-        driver.execute_script(f"location.hash = '{keys[0]}'")
-        until(driver, lambda: shown(driver, "done"))
-        announced = driver.find_element(By.ID, "announced")
-        assert announced.aria_role == "status" and announced.text == "cat: done"
-        driver.switch_to.frame("viewer")
-        ready = "return document.body?.dataset.ready"
-        until(driver, lambda: driver.execute_script(ready) == "true")
-        driver.find_element(By.CSS_SELECTOR, "[data-tool=note]").click()
-        stage = driver.find_element(By.ID, "stage")
-        ActionChains(driver).move_to_element(stage).click().perform()
-        driver.switch_to.default_content()
-        assert notes() == 1
-        press_visible(driver, "#object p a")
-        until(driver, lambda: shown(driver, "first-drop"))
-        driver.back()
-        until(driver, lambda: shown(driver, "done"))
-        assert part() == keys[0] and notes() == 1
-        driver.back()
-        until(driver, lambda: shown(driver, "first-drop"))
-        # An object that was removed elsewhere does not hold on to the page.
-        driver.execute_script(f"location.hash = '{keys[1]}'")
-        until(driver, lambda: shown(driver, "done"))
-        removed = f"{server.address}/api/objects/{keys[1]}/remove"
-        urllib.request.urlopen(urllib.request.Request(removed, b"{}", method="POST"))
-        until(driver, lambda: shown(driver, "first-drop"))
-        assert part() == ""
-        driver.back()
-        time.sleep(2)
-        assert part() == "" and shown(driver, "first-drop")

@@ -4,10 +4,12 @@ import base64
 import json
 import re
 import shutil
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from picture_files import png
 from PIL import Image
 from plain_objects import HARD, photographs
 
@@ -117,15 +119,29 @@ def write_ring(folder):
     write_image(folder / "mask.png", mask.astype(np.uint8) * 255)
 
 
+def write_linear(folder):
+    """Photographs that say to be linear: next to black are 1.2 % of light, and 4 %."""
+    generator = np.random.default_rng(6)
+    for i in range(3):
+        values = generator.integers(60, 255, (21, 26, 3)).astype(np.uint8)
+        for level, width in ((10, 12), (3, 9), (0, 7)):
+            values[:6, :width] = level
+        linear = {b"gAMA": struct.pack(">I", 100000)}
+        folder.mkdir(exist_ok=True)
+        (folder / f"p{i}.png").write_bytes(png(values, 2, 8, linear))
+    write_image(folder / "mask.png", np.full((21, 26), 255, np.uint8))
+
+
 def test_page(small, driver, tmp_path):
     page, network = small
     for name, dtype in (("eight", np.uint8), ("sixteen", np.uint16)):
         write_set(tmp_path / name, dtype)
     write_ring(tmp_path / "ring")
+    write_linear(tmp_path / "linear")
     pixels = np.random.default_rng(1).integers(0, 255, (16, 24, 3)).astype(np.uint8)
     write_image(tmp_path / "one.jpg", np.kron(pixels, np.ones((4, 4, 1), np.uint8)))
     with opened(driver, page):
-        for name in ("eight", "sixteen", "ring"):
+        for name in ("eight", "sixteen", "ring", "linear"):
             found = normals_by_page(driver, tmp_path / name)
             require_same(found, tmp_path / name, network)
         # Browsers decode JPEGs nearly as we do.
@@ -178,9 +194,16 @@ def test_both_languages_say_all_of_it():
     assert not re.findall(r">[^<>{}]*[A-Za-z]{3}[^<>{}]*</(?:p|h1|button|span)>", page)
 
 
-READY = (
-    "document.getElementById('viewer').contentDocument?.body?.dataset.ready === 'true'"
-)
+VIEWER = "document.getElementById('viewer').contentDocument"
+READY = f"{VIEWER}?.body?.dataset.ready === 'true'"
+SAVED = """
+const [done] = arguments;
+for (const there of [window, document.getElementById("viewer").contentWindow]) {
+  there.HTMLAnchorElement.prototype.click = () => {};
+  there.URL.createObjectURL = (blob) => (blob.text().then(done), "");
+}
+document.getElementById("save").click();
+"""
 
 
 def by_keys(driver, tool, *keys):
@@ -233,11 +256,17 @@ def test_mask_viewer_and_reload(small, driver, tmp_path):
         driver.switch_to.frame("viewer")
         driver.find_element("css selector", "[data-mode=surface]").click()
         until(driver, "return !document.getElementById('turning').hidden")
+        driver.find_element("id", "add-view").click()
         driver.switch_to.default_content()
-        # A reload takes it up again.
+        # It is saved with what was kept.
+        assert '"name":"View 1"' in driver.execute_async_script(SAVED)
+        # A reload takes it up again, with its viewer in the page's language.
         kept = mask_of(driver, truth.shape)
+        driver.execute_script("localStorage.setItem('unips-language', 'de')")
         driver.get(driver.current_url)
-        until(driver, f"return {STATUS} === 'as it was left' && {READY}")
+        until(driver, f"return {STATUS} === 'wie es verlassen wurde' && {READY}")
+        assert driver.execute_script(f"return {VIEWER}.documentElement.lang") == "de"
+        assert '"language":"de"' not in driver.execute_async_script(SAVED)
         np.testing.assert_array_equal(mask_of(driver, truth.shape), kept)
         assert not [text for text in messages(driver) if "Error" in text]
 

@@ -1,8 +1,6 @@
 """Files dropped on the browser's page over others; what is asked of it meanwhile."""
 
-import base64
 import contextlib
-import mimetypes
 import time
 
 import numpy as np
@@ -18,9 +16,12 @@ from browser_page import (  # noqa: E402
     ALONE,
     NEEDED,
     PATIENCE_S,
+    SETTLED,
     STATUS,
     build_small,
     drag,
+    drop,
+    drop_and_wait,
     mask_of,
     opened,
     overlap,
@@ -30,17 +31,6 @@ from selenium.webdriver.support.ui import Select  # noqa: E402
 
 pytestmark = NEEDED
 SIZE = 120, 240
-SETTLED = f"/found|stands out|is not the object/.test({STATUS})"
-DROP = """
-const transfer = new DataTransfer();
-for (const [name, type, text] of arguments[0]) {
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  transfer.items.add(new File([bytes], name, { type }));
-}
-document.getElementById("status").textContent = "";
-document.dispatchEvent(
-  new DragEvent("drop", { dataTransfer: transfer, cancelable: true }));
-"""
 KEPT = """
 const [key, done] = arguments;
 import("./keep.js").then(async ({ recall }) => {
@@ -86,23 +76,6 @@ def sets(tmp_path_factory):
             write_image(path, image)
         made[name] = paths, truth
     return made
-
-
-def drop(page, paths):
-    files = [
-        [
-            path.name,
-            mimetypes.guess_type(path)[0] or "",
-            base64.b64encode(path.read_bytes()).decode(),
-        ]
-        for path in paths
-    ]
-    page.execute_script(DROP, files)
-
-
-def drop_and_wait(page, paths):
-    drop(page, paths)
-    until(page, f"return {SETTLED}")
 
 
 def reload(page):
@@ -341,6 +314,49 @@ def test_of_two_tabs_the_first_keeps_its_work(page, sets):
         page.switch_to.window(first)
     assert kept(page, "files") == [path.name for path in sets["left"][0]]
     reload(page)
+    names = page.execute_script("return unips.state.photographs.map((p) => p.name)")
+    assert names == [path.name for path in sets["left"][0]]
+
+
+def choose_linear(page):
+    page.execute_script("document.getElementById('choices').open = true")
+    Select(page.find_element("id", "transfer")).select_by_value("linear")
+
+
+def test_how_values_encode_light_is_said_of_one_object(page, sets):
+    drop_and_wait(page, sets["left"][0])
+    choose_linear(page)
+    page.find_element("id", "restart").click()
+    until(page, "return !document.getElementById('drop').hidden")
+    drop_and_wait(page, sets["right"][0])
+    assert page.find_element("id", "transfer").get_property("value") == "auto"
+
+
+def test_photographs_are_kept_before_their_object_is_found(page, sets):
+    """On a slow link the network takes long."""
+    never = "window.Worker = class { postMessage() {} terminate() {} }"
+    page.execute_script(never)
+    drop(page, sets["left"][0])
+    until_kept(page, sets["left"][0])
+    assert page.execute_script("return document.getElementById('estimate').disabled")
+    reload(page)
+    assert page.execute_script("return unips.state.photographs.length") == 3
+
+
+def test_a_file_that_cannot_be_opened_is_named(page, sets):
+    drop_and_wait(page, sets["left"][0])
+    page.execute_script(
+        """
+        const { arrayBuffer } = File.prototype;
+        File.prototype.arrayBuffer = function () {
+          const lost = new DOMException("it lies in a cloud", "NotReadableError");
+          const there = this.name !== "right1.png";
+          return there ? arrayBuffer.call(this) : Promise.reject(lost);
+        };
+        """
+    )
+    drop(page, sets["right"][0])
+    until(page, f"return /^right1.png: expected a file that can be/.test({STATUS})")
     names = page.execute_script("return unips.state.photographs.map((p) => p.name)")
     assert names == [path.name for path in sets["left"][0]]
 

@@ -286,6 +286,57 @@ def test_a_kept_scale_is_that_of_its_camera(driver, tmp_path, kept, stays):
     assert messages(driver) == []
 
 
+@pytest.mark.parametrize(
+    ("kept", "scale", "same"),
+    [(None, 1.0, True), ("48 x 48", 2.0, True), ("48 x 40", 2.0, False)],
+)
+def test_what_was_kept_goes_with_the_size(driver, tmp_path, kept, scale, same):
+    """Of half the size a pixel is twice as long; of another shape it is not known."""
+
+    def shown(mm, places, **size):
+        notes = [{"place": place, "text": "a dent"} for place in places]
+        view = {"name": "a view", "state": {"mode": "picture", "center": places[0]}}
+        known = {"mm": mm, "unit": "pixels", "focal": None}
+        notes = {**size, "scale": known, "notes": notes, "views": [view]}
+        path = tmp_path / "a.html"
+        path.write_text(page_of(known_results.result(), notes=notes))
+        driver.get(path.as_uri())
+        opened(driver)
+        drawn(driver)
+        assert messages(driver) == []
+        text = element(driver, "other-shape").text
+        return element(driver, "overlay").get_attribute("innerHTML"), text
+
+    expected, said = shown(1.0, [[60, 24]], size="96 x 96")
+    assert "scale-bar" in expected and said == ""
+    across, down = map(int, (kept or "96 x 96").split(" x "))
+    place = [60 * across / 96, 24 * down / 96]
+    found, said = shown(scale, [place], **({"size": kept} if kept else {}))
+    assert (found == expected and said == "") == same
+    if not same:  # notes stay in the picture
+        assert "a dent" in found and "scale-bar" not in found
+        assert said.startswith("What was kept is of a result of 48 x 40 pixels")
+
+
+def test_a_profile_begins_and_ends_on_the_depth(driver, tmp_path):
+    """At its rim a surface may have normals without a depth."""
+    normals, depth = known_results.hemisphere()
+    depth[:, known_results.SIZE // 2 + known_results.RADIUS // 2 :] = np.nan
+    path = tmp_path / "a.html"
+    path.write_text(page_of(known_results.result(depth=depth)))
+    driver.get(path.as_uri())
+    opened(driver)
+    press(driver, "[data-tool=profile]")
+    point(driver, 0, 0).click().perform()
+    point(driver, 0.7, 0).click().perform()
+    assert element(driver, "reading").text == "There is no surface at this point."
+    point(driver, 0.3, 0).click().perform()
+    numbers, text = measured(driver)
+    assert "NaN" not in text
+    assert numbers[0] == pytest.approx(0.3 * known_results.RADIUS, abs=1)
+    assert messages(driver) == []
+
+
 def test_both_sides_are_lit(driver, tmp_path):
     """A bowl: turned by 35 degrees, its near wall is seen from behind."""
     normals, depth = known_results.hemisphere()

@@ -1,6 +1,8 @@
-// The mask over the photograph: drawn, painted and boxed on one canvas.
+// The mask over the photograph: drawn, painted and boxed on one canvas. Places are in the
+// photograph's pixels, of which step x step are one of the canvas.
 import { paint } from "./mask.js";
 
+const SIDE = 1024; // of the canvas, nearly: all of it is drawn again and again
 const MOST_UNDONE = 12;
 const ARROWS = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
@@ -11,16 +13,22 @@ export class Editor {
     canvas.onpointerdown = (event) => this.#down(event);
     canvas.onpointermove = (event) => this.#move(event);
     canvas.onpointerup = (event) => this.#up(event);
-    canvas.onpointercancel = () => this.#cancel();
+    canvas.onpointercancel = (event) => this.#cancel(event);
     canvas.onkeydown = (event) => this.#key(event);
     canvas.onblur = () => this.#forgetCursor();
   }
 
   // `picture` is RGB of [h, w, 3], 0 to 255; `mask` [h, w] is changed in place.
   show(picture, mask, width, height) {
-    Object.assign(this, { picture, mask, width, height, past: [] });
-    this.canvas.width = width;
-    this.canvas.height = height;
+    const step = Math.max(1, Math.round(Math.max(width, height) / SIDE));
+    Object.assign(this, { mask, width, height, step, past: [] });
+    this.canvas.width = Math.ceil(width / step);
+    this.canvas.height = Math.ceil(height / step);
+    this.setPicture(picture);
+  }
+
+  setPicture(picture) {
+    this.picture = shrunk(picture, this.width, this.height, this.step);
     this.draw();
   }
 
@@ -50,29 +58,32 @@ export class Editor {
   }
 
   draw(left = 0, top = 0, right = this.width, bottom = this.height) {
-    [left, top] = [Math.max(0, Math.floor(left)), Math.max(0, Math.floor(top))];
-    [right, bottom] = [Math.min(this.width, Math.ceil(right)), Math.min(this.height, Math.ceil(bottom))];
+    const { step, width, canvas } = this;
+    [left, top] = [left, top].map((value) => Math.max(0, Math.floor(value / step)));
+    right = Math.min(canvas.width, Math.ceil(right / step));
+    bottom = Math.min(canvas.height, Math.ceil(bottom / step));
     if (right <= left || bottom <= top) return;
     const wide = right - left;
     const part = new ImageData(wide, bottom - top);
     for (let y = top; y < bottom; y++) {
       for (let x = left; x < right; x++) {
-        const [at, to] = [y * this.width + x, ((y - top) * wide + x - left) * 4];
+        const [at, to] = [y * canvas.width + x, ((y - top) * wide + x - left) * 4];
+        const inside = this.mask[y * step * width + x * step];
         for (let c = 0; c < 3; c++) {
           const value = this.picture[at * 3 + c];
-          part.data[to + c] = this.mask[at] ? value : value * 0.3 + (c === 2 ? 60 : 15);
+          part.data[to + c] = inside ? value : value * 0.3 + (c === 2 ? 60 : 15);
         }
         part.data[to + 3] = 255;
       }
     }
-    this.canvas.getContext("2d").putImageData(part, left, top);
+    canvas.getContext("2d").putImageData(part, left, top);
   }
 
   #place(event) {
     const box = this.canvas.getBoundingClientRect();
     return [
-      ((event.clientX - box.left) / box.width) * this.width,
-      ((event.clientY - box.top) / box.height) * this.height,
+      ((event.clientX - box.left) / box.width) * this.canvas.width * this.step,
+      ((event.clientY - box.top) / box.height) * this.canvas.height * this.step,
     ];
   }
 
@@ -104,6 +115,7 @@ export class Editor {
 
   #pen() {
     const context = this.canvas.getContext("2d");
+    context.setTransform(1 / this.step, 0, 0, 1 / this.step, 0, 0);
     context.lineWidth = Math.max(2, this.width / 300);
     context.strokeStyle = "#ffb000";
     return context;
@@ -123,7 +135,7 @@ export class Editor {
   }
 
   #up(event) {
-    if (!this.from) return;
+    if (!this.from || !event.isPrimary) return; // a second finger ends nothing
     this.from = null;
     if (this.tool !== "box") this.onChange();
     else this.#endBox(this.start, this.#place(event));
@@ -170,9 +182,29 @@ export class Editor {
     this.draw();
   }
 
-  #cancel() {
+  #cancel(event) {
+    if (!event.isPrimary) return;
     if (this.from && this.tool === "box") this.draw();
     else if (this.from) this.undo();
     this.from = null;
   }
+}
+
+// A picture's means over step x step pixels; at the right and lower edge over fewer.
+function shrunk(picture, width, height, step) {
+  if (step === 1) return picture;
+  const [w, h] = [Math.ceil(width / step), Math.ceil(height / step)];
+  const out = new Uint8ClampedArray(w * h * 3);
+  for (let i = 0; i < w * h; i++) {
+    const [left, top] = [(i % w) * step, Math.floor(i / w) * step];
+    const [right, bottom] = [Math.min(left + step, width), Math.min(top + step, height)];
+    for (let c = 0; c < 3; c++) {
+      let sum = 0;
+      for (let y = top; y < bottom; y++) {
+        for (let x = left; x < right; x++) sum += picture[(y * width + x) * 3 + c];
+      }
+      out[i * 3 + c] = sum / ((right - left) * (bottom - top));
+    }
+  }
+  return out;
 }

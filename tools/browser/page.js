@@ -1,8 +1,8 @@
 // The page: files in, a mask, a lit surface out. All of it stays in this browser.
 import { ask, end } from "./ask.js";
 import { Editor } from "./editor.js";
+import { find } from "./find.js";
 import { forget, keep, recall, stayAwake } from "./keep.js";
-import { isOnlyShine, meanPicture, resize } from "./mask.js";
 import {
   brightestOfAll, filesOf, isMap, isMask, leaveOut, linearImages, maskOf, readFile, requireAlike, requireMaskFits,
 } from "./photographs.js";
@@ -11,8 +11,6 @@ import { current, offer, Refusal, t } from "./text.js";
 
 const MOST_VALUES = 3e8; // numbers of all photographs: more does not fit a browser
 const MOST_KEPT = 4e8; // bytes of files
-const SEEN_SIDE = 640; // of the picture that the mask is looked for in
-const BOX_MARGIN = 0.1; // of the box, around it
 const $ = (id) => document.getElementById(id);
 const state = { photographs: [], files: [], leftOut: [], brightest: null, mask: null, result: null };
 let dropped = 0;
@@ -67,9 +65,9 @@ async function take(list, mask = null, again = false) {
       if (!again) forget().then(keepOptions); // what is kept is of other photographs
       Object.assign(state, { photographs, files, leftOut, result: null });
     } else state.files = [...state.files.filter((file) => !isMask(file.name)), ...masks];
-    await show(maskFile, mask);
     const bytes = state.files.reduce((sum, file) => sum + file.size, 0);
-    if (turn >= shown && bytes <= MOST_KEPT) await keep("files", state.files);
+    if (bytes <= MOST_KEPT) keep("files", state.files); // an object may be looked for long
+    await show(maskFile, mask);
     return turn >= shown;
   } catch (error) {
     if (!(error instanceof Refusal)) throw error;
@@ -105,11 +103,11 @@ async function show(maskFile, mask) {
 
 // The brightest of all photographs as RGB of 0 to 255: [h, w, 3].
 function picture() {
-  const [{ width, height, channels, top }] = state.photographs;
+  const [{ width, height, top }] = state.photographs;
   const out = new Uint8ClampedArray(width * height * 3);
   const shown = transferOf() === "srgb" ? 1 : 1 / 2.2;
   const table = Float32Array.from({ length: top + 1 }, (_, v) => 255 * (v / top) ** shown);
-  for (const { values } of state.photographs) {
+  for (const { values, channels } of state.photographs) {
     for (let i = 0; i < out.length; i++) {
       const value = table[values[channels === 3 ? i : (i / 3) | 0]];
       if (value > out[i]) out[i] = value;
@@ -131,43 +129,14 @@ function stop() {
 
 // Looks for the object, in a box if there is one, and makes it the mask.
 async function findObject(box = null, count = null) {
-  const [{ width, height }] = state.photographs;
   const edited = state.mask;
-  const step = Math.max(1, Math.ceil(Math.max(width, height) / SEEN_SIDE));
-  const whole = new Uint8Array(width * height).fill(1);
-  const small = linearImages(state.photographs, whole, transferOf(), step);
-  const n = state.photographs.length;
-  let seen = meanPicture(small.images, n, small.width * small.height);
-  let [left, top, w, h] = [0, 0, small.width, small.height];
-  if (box) {
-    const [x0, y0, x1, y1] = box.map((value) => value / step);
-    const margin = BOX_MARGIN * Math.max(x1 - x0, y1 - y0);
-    [left, top] = [Math.max(0, Math.floor(x0 - margin)), Math.max(0, Math.floor(y0 - margin))];
-    w = Math.min(small.width, Math.ceil(x1 + margin)) - left;
-    h = Math.min(small.height, Math.ceil(y1 + margin)) - top;
-    const part = new Float32Array(w * h * 3);
-    for (let y = 0; y < h; y++) {
-      const from = ((top + y) * small.width + left) * 3;
-      part.set(seen.subarray(from, from + 3 * w), y * w * 3);
-    }
-    seen = part;
-  }
   const after = (key, values = {}) => () => (count ? `${count()}: ` : "") + t(key, values);
   try {
-    const { found } = await ask({ kind: "mask", picture: seen, width: w, height: h }, "found", stage);
+    const mask = await find(state.photographs, transferOf(), box, stage);
     if (edited !== state.mask) return; // other files were dropped meanwhile
-    if (!found || (!box && isOnlyShine(small.images, n, found))) {
+    if (!mask) {
       say(after(box ? "none_kept" : "none"), !count);
       return;
-    }
-    const full = resize(Float32Array.from(found), w, h, w * step, h * step);
-    const mask = new Uint8Array(width * height);
-    for (let y = 0; y < h * step && top * step + y < height; y++) {
-      for (let x = 0; x < w * step && left * step + x < width; x++) {
-        const [px, py] = [left * step + x, top * step + y];
-        const inBox = !box || (px >= box[0] && px < box[2] && py >= box[1] && py < box[3]);
-        if (inBox && full[y * w * step + x] > 0.5) mask[py * width + px] = 1;
-      }
     }
     editor.replace(mask);
     say(after("found"));
@@ -209,7 +178,8 @@ const optionsNow = () => Object.fromEntries(CHOICES.map((id) => [id, $(id).value
 const keepOptions = () => keep("options", optionsNow());
 for (const id of CHOICES) $(id).addEventListener("change", keepOptions);
 
-const toCompute = (inside) => linearImages(state.photographs, inside, transferOf(), stepNow());
+const insideNow = () => leaveOut(state.mask.slice(), state.photographs, state.brightest, transferOf());
+const toCompute = () => linearImages(state.photographs, insideNow(), transferOf(), stepNow());
 
 // `known`: normals of a run that was cut off.
 async function estimate(known = null) {
@@ -219,8 +189,7 @@ async function estimate(known = null) {
     refuse(new Refusal("too_much"));
     return;
   }
-  const inside = leaveOut(state.mask.slice(), state.photographs, state.brightest);
-  const { mask, width, height, images } = toCompute(inside);
+  const { mask, width, height, images } = toCompute();
   if (!mask.some((value) => value)) {
     refuse(new Refusal("empty_mask"));
     return;
@@ -276,8 +245,8 @@ async function showResult() {
   const page = await viewerPage(template, result, t("surface"));
   if (result !== state.result) return false;
   state.page = page;
-  // Here in the page's language, saved in the one of whoever opens it.
-  $("viewer").srcdoc = state.page.replace('"language":null', `"language":"${current()}"`);
+  $("viewer").lang = current(); // saved, it has the one of whoever opens it
+  $("viewer").srcdoc = page;
   $("result").hidden = false;
   $("result").scrollIntoView();
   return true;
@@ -338,8 +307,7 @@ $("find").onclick = () => findObject();
 $("whole").onclick = () => editor.replace(new Uint8Array(state.mask.length).fill(1));
 $("transfer").oninput = () => {
   if (!state.photographs.length) return; // chosen for those that are dropped next
-  editor.picture = picture();
-  editor.draw();
+  editor.setPicture(picture());
 };
 $("estimate").onclick = () => {
   state.result = null;
@@ -353,11 +321,16 @@ $("cancel").onclick = () => {
 };
 $("restart").onclick = async () => {
   $("cancel").onclick();
+  $("transfer").value = "auto"; // what was said of those holds for no others
   await startOver();
   say(() => "");
 };
 $("download").onclick = () => save("normals.png", normalsPng(state.result), "image/png");
-$("save").onclick = () => save("surface.html", state.page, "text/html");
+$("save").onclick = () => {
+  const viewer = $("viewer").contentDocument; // with notes, where it could draw
+  if (viewer.body?.dataset.ready) viewer.getElementById("save-page").click();
+  else save("surface.html", state.page, "text/html");
+};
 
 async function startOver() {
   await forget();
@@ -378,7 +351,7 @@ async function takeUp() {
   if (running) {
     estimate(running.normals);
   } else if (result) {
-    const { images } = result.images ? result : toCompute(leaveOut(state.mask.slice(), state.photographs, state.brightest));
+    const { images } = result.images ? result : toCompute();
     state.result = { ...result, images };
     showNormals(result.normals, result.mask, result.width, result.height, 1);
     $("download").hidden = false;

@@ -3,13 +3,15 @@ import { decode } from "fast-png";
 import { Refusal } from "./text.js";
 
 const BLACK = 2; // levels of 255, see unips_jax/io/masks.py
-const NEARLY_BLACK = 32;
+const NEARLY_BLACK = { srgb: 32, linear: 3 }; // both 1.4 % of light
 const LEVELS_SHARE = 0.9;
 const LEVEL = 1 / 16;
 
 // A file's pixels: {name, width, height, channels (1 or 3), top, values, alpha, tag}.
 export async function readFile(file) {
-  const bytes = new Uint8Array(await file.arrayBuffer());
+  const bytes = new Uint8Array(await file.arrayBuffer().catch(() => {
+    throw new Refusal("unread", { name: file.name }); // it was moved, or lies in a cloud
+  }));
   const png = bytes[0] === 0x89 && bytes[1] === 0x50;
   if (png) {
     const depth = bytes[24];
@@ -183,7 +185,7 @@ export function brightestOfAll(files) {
 }
 
 // Takes from a mask what is black in all photographs, or transparent in one.
-export function leaveOut(mask, files, brightest) {
+export function leaveOut(mask, files, brightest, transfer) {
   const { width, top } = files[0];
   for (const { alpha } of files) {
     if (!alpha || alpha.every((value) => value === 255 || value === 65535)) continue;
@@ -209,7 +211,7 @@ export function leaveOut(mask, files, brightest) {
         for (let dx = x ? -1 : 0; dx <= (x < width - 1 ? 1 : 0); dx++) {
           const near = at + dy + dx;
           if (near < 0 || near >= mask.length || seen[near]) continue;
-          if (brightest[near] > NEARLY_BLACK) continue;
+          if (brightest[near] > NEARLY_BLACK[transfer]) continue;
           seen[near] = 1;
           open.push(near);
         }

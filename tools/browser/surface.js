@@ -194,7 +194,7 @@ export async function viewerPage(template, result, title) {
   }
   const depth = depthOf(shown, width, height);
   const pixels = width * height;
-  const found = { language: null, facts: [["size", `${result.width} x ${result.height}`], ["photographs", String(names.length)]] };
+  const found = { facts: [["size", `${result.width} x ${result.height}`], ["photographs", String(names.length)]] };
   const photographs = [];
   const mean = new Float32Array(pixels * 3);
   const size = result.width * result.height * 3;

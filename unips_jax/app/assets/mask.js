@@ -34,21 +34,20 @@ async function image(source) {
 
 /** Shows the picture; of another size or object, everything begins anew. */
 export async function load(id, version, how, changed) {
-  const base = `/objects/${id}`;
-  const mine = turn;
+  const [base, mine, before] = [`/objects/${id}`, turn, edits];
   const shown = await image(`/api${base}/pictures/picture.jpg?${version}`);
   if (mine !== turn) return;
   const same = address === base && picture?.width === shown.width && picture?.height === shown.height;
+  // What was drawn meanwhile stays: the server has it, or is about to.
+  const drawn = () => same && (changes || edits !== before || (stroke && tool !== "box"));
   listeners.changed = changed;
   picture = shown;
   if (!same) begin(base);
-  if (same && changes) {
-    // What was drawn stays; the server is about to have it.
-  } else if (how.mask === "auto") {
+  if (!drawn() && how.mask === "auto") {
     const name = how.found.mask === "none" ? null : "mask.png";
     if (same) remember();
     if (!name) clear();
-    else if (!(await take(`/api${base}/pictures/${name}?${version}`))) return;
+    else if (!(await take(`/api${base}/pictures/${name}?${version}`, drawn))) return;
     if (!same) choose(name ? "add" : "box");
   } else if (!same) {
     if (!(await take(`/api${base}/pictures/drawn.png?${version}`))) return;
@@ -107,11 +106,12 @@ function clear() {
   pixelsOf(mask).clearRect(0, 0, mask.width, mask.height);
 }
 
-/** Takes a mask from the server: white is the object. */
-async function take(source) {
+/** Takes a mask from the server, unless another is kept: white is the object. */
+async function take(source, keeps = () => false) {
   const mine = turn;
   const loaded = await image(source);
   if (mine !== turn) return false;
+  if (keeps()) return true;
   const c = pixelsOf(mask);
   clear();
   c.drawImage(loaded, 0, 0, mask.width, mask.height);

@@ -57,12 +57,10 @@ export function showDone(object) {
   byId("zip").href = `${base}/zip/all.zip`;
   byId("zip").hidden = byId("own-tab").hidden = !files.length;
   byId("own-tab").href = `${base}/results/view.html#${current()}`;
-  const viewer = byId("viewer");
-  viewer.hidden = !there;
-  viewer.title = object.name;
   const page = `${base}/results/view.html#${current()}`;
-  const shown = viewer.getAttribute("src")?.startsWith(`${base}/`); // in whatever language
-  if (there && !shown) renew(page);
+  const shown = byId("viewer").getAttribute("src")?.startsWith(`${base}/`); // in whatever language
+  if (there && !shown) renew(base, page);
+  Object.assign(byId("viewer"), { hidden: !there, title: object.name });
   byId("folder").textContent = object.folder ? t("folder", { folder: object.folder }) : "";
   fill(byId("files"), [current(), object.id, files], () => {
     const rest = new Set(files);
@@ -81,10 +79,27 @@ export function showDone(object) {
   advice(byId("done-advice"), object.findings);
 }
 
-/** Another frame, not another page in it: "back" would lead through all of them. */
-function renew(page) {
+/** Another frame, not another page in it: "back" would lead through all of them. One with
+ * notes that are not saved waits, hidden, until its result is shown again. */
+function renew(base, page) {
   const old = byId("viewer");
-  const frame = old.cloneNode();
-  frame.src = page;
-  old.replaceWith(frame);
+  let frame = frames().find((other) => other.getAttribute("src")?.startsWith(`${base}/`));
+  if (!frame) {
+    frame = old.cloneNode();
+    frame.removeAttribute("data-unsaved");
+    frame.src = page;
+    old.after(frame);
+  }
+  if (old.dataset.unsaved === "true") old.hidden = true;
+  else old.remove();
+  old.id = "";
+  frame.id = "viewer";
 }
+
+const frames = () => [...document.querySelectorAll("#done iframe")];
+
+// Viewers say whether all notes in them are saved.
+window.addEventListener("message", ({ source, data }) => {
+  const frame = frames().find((one) => one.contentWindow === source);
+  if (frame) frame.dataset.unsaved = data?.unsaved;
+});

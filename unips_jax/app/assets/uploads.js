@@ -1,6 +1,8 @@
 // Files on their way to the server: one request each, two at a time.
 
 import { request, upload } from "./api.js";
+import { message } from "./dom.js";
+import { t } from "./text.js";
 
 const AT_A_TIME = 2;
 const queues = new Map(); // of objects, by their id
@@ -100,6 +102,7 @@ export function dropZone(element, taken) {
     element.classList.remove("over");
     const { files, name } = await dropped(event.dataTransfer);
     if (files.length) taken(files, name);
+    else if (name) message(t("no_files", { name }));
   });
 }
 

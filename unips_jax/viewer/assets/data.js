@@ -7,7 +7,8 @@ const byId = (name) => document.getElementById(name);
 const data = JSON.parse(byId("data").textContent);
 const kept = JSON.parse(byId("notes").textContent); // what a reader saved: see notes.js
 
-let language = (location.hash.slice(1) || data.language || navigator.language).startsWith("de") ? "de" : "en";
+// Of a frame it may be that of the page around.
+let language = (location.hash.slice(1) || window.frameElement?.lang || navigator.language).startsWith("de") ? "de" : "en";
 
 /** A text of the table; {0}, {1}, ... are the values. */
 function say(key, ...values) {
@@ -103,6 +104,13 @@ function spaceAt(depthBytes, [column, row]) {
  * of other sizes, notes stay where they are. */
 const resultPlace = (place) => place.map((value, axis) => data.first[axis] + value * data.scale);
 const picturePlace = (place) => place.map((value, axis) => (value - data.first[axis]) / data.scale);
+
+/** The result's size, as text, and its pixels to one of the result that a reader's notes
+ * were kept from, across and down; pages of earlier versions do not say its size. */
+const resultSize = new Map(data.facts).get("size");
+const grown = [0, 1].map((axis) => (kept.size ? resultSize.split(" x ")[axis] / kept.size.split(" x ")[axis] : 1));
+const sameShape = Math.abs(grown[0] / grown[1] - 1) < 0.01;
+const keptPlace = (place) => place.map((value, axis) => value * grown[axis]);
 
 function pixelAt(column, row) {
   const x = Math.floor(column);

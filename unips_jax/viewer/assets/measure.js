@@ -43,7 +43,9 @@ class Measure {
   }
 
   allowed(point) {
-    return TOOLS[this.tool].anywhere ? pixelAt(...point) >= 0 : this.normal(point) !== null;
+    if (TOOLS[this.tool].anywhere) return pixelAt(...point) >= 0;
+    if (this.tool === "profile" && Number.isNaN(depthBetween(this.depthBytes, ...point))) return false;
+    return this.normal(point) !== null;
   }
 
   /** Sets a point; after the last it begins anew. */

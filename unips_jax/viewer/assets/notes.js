@@ -4,17 +4,32 @@ const MOST_LETTERS = 40; // of a note over the picture
 
 /** Lists of notes and views, and their fields in the settings. */
 class Notes {
+  #unsaved = false;
+
   /** `capture` gives what is shown as a view's state, `restore` shows one. */
   constructor(stage, { capture, restore }) {
     this.stage = stage;
     this.capture = capture;
     this.restore = restore;
-    this.notes = (kept.notes ?? []).map((note) => ({ ...note }));
-    this.views = (kept.views ?? []).map((view) => ({ ...view }));
-    this.unsaved = false;
+    this.notes = (kept.notes ?? []).map((note) => ({ ...note, place: keptPlace(note.place) }));
+    this.views = (kept.views ?? []).map(({ name, state }) => ({
+      name,
+      state: { ...state, center: keptPlace(state.center) },
+    }));
     byId("add-view").addEventListener("click", () => this.addView());
     byId("notes-shown").addEventListener("input", () => stage.changed());
     window.addEventListener("beforeunload", (event) => this.unsaved && event.preventDefault());
+  }
+
+  get unsaved() {
+    return this.#unsaved;
+  }
+
+  /** Is shown, and told a page around this one, which may keep it until they are saved. */
+  set unsaved(value) {
+    this.#unsaved = value;
+    byId("unsaved").hidden = !value;
+    parent.postMessage({ unsaved: value }, "*");
   }
 
   /** A note at a place of the picture; its field waits for the text. */
@@ -38,12 +53,13 @@ class Notes {
   /** What the file keeps. */
   get values() {
     const { notes, views } = this;
-    return { scale: { mm: scale.mm, ...measured }, notes, views };
+    return { size: resultSize, scale: { mm: scale.mm, ...measured }, notes, views };
   }
 
   /** Fills both lists. */
   fill() {
-    byId("unsaved").hidden = !this.unsaved;
+    byId("other-shape").hidden = sameShape;
+    byId("other-shape").textContent = say("other_shape", kept.size);
     byId("no-notes").hidden = this.notes.length > 0;
     byId("notes-shown").parentElement.hidden = this.notes.length === 0;
     this.list(byId("notes-list"), this.notes, "text", (note) => this.goTo(note));
@@ -69,7 +85,6 @@ class Notes {
       input.addEventListener("input", () => {
         item[field] = input.value;
         this.unsaved = true;
-        byId("unsaved").hidden = false;
         this.stage.changed();
       });
       row.append(go, input, drop);

@@ -133,7 +133,6 @@ function connectSaving(stage, notes, normalBytes) {
   byId("save-page").addEventListener("click", () => {
     download(data.tiles ? "index.html" : `${fileName()}.html`, pageWith(notes.values));
     notes.unsaved = false;
-    notes.fill();
   });
   byId("save-surface").hidden = !data.depth;
   byId("save-surface").addEventListener("click", () => download(`${fileName()}.glb`, glbOf(stage, normalBytes)));

@@ -8,7 +8,7 @@ const measured = {
 
 const scale = {
   // Per unit of the depth; null: not known. A kept one is of what it was set for.
-  mm: kept.scale && holds(kept.scale) ? kept.scale.mm : data.unit_mm,
+  mm: kept.scale && holds(kept.scale) ? keptMm(kept.scale) : data.unit_mm,
 
   /** A length in the depth's unit, as text. */
   text(length, digits = 1) {
@@ -25,7 +25,12 @@ const scale = {
 
 /** Whether a kept scale is of this result; those of earlier versions name no camera. */
 function holds({ unit, focal }) {
-  return unit === measured.unit && (focal ?? measured.focal) === measured.focal;
+  return sameShape && unit === measured.unit && (focal ?? measured.focal) === measured.focal;
+}
+
+/** A kept scale for pixels of this result's size. */
+function keptMm({ mm, unit }) {
+  return mm && unit === "pixels" ? mm / grown[0] : mm;
 }
 
 function unitName() {
