@@ -1,7 +1,9 @@
 """A result whose every value is known: a hemisphere, lit from three sides."""
 
+import base64
 import json
 
+import cv2
 import numpy as np
 
 from unips_jax.io.images import write_image
@@ -41,6 +43,12 @@ def result(**changes):
     images = photographs_of(photographs(), tuple(LIGHTS), "linear")
     given = {"title": "hemisphere", "normals": normals, "depth": depth}
     return Result(**{**given, "photographs": images, **changes})
+
+
+def decoded(address):
+    """A picture of the page: `[H, W, C]`."""
+    data = np.frombuffer(base64.b64decode(address.partition(",")[2]), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)[..., ::-1]
 
 
 def write_folder(folder, photographs_folder):

@@ -1,17 +1,16 @@
 """The viewer's page as a file: precision, size, what it takes and what it refuses."""
 
-import base64
 import dataclasses
 import json
 import re
 import struct
 from pathlib import Path
 
-import cv2
 import known_results
 import numpy as np
 import pytest
 from colour_profiles import P3
+from known_results import decoded
 from picture_files import png, save, smooth, with_orientation
 from PIL import Image
 
@@ -38,11 +37,6 @@ ASSETS = Path(__file__).parents[2] / "unips_jax" / "viewer" / "assets"
 
 def data_of(html):
     return json.loads(re.search(r'id="data">(.*?)</script>', html, re.S).group(1))
-
-
-def decoded(address):
-    data = np.frombuffer(base64.b64decode(address.partition(",")[2]), np.uint8)
-    return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)[..., ::-1]
 
 
 def depth_of(layers):

@@ -128,7 +128,8 @@ def _orientation(camera: Camera, folder: Path) -> int:
     own = Path(record["folder"]) / next(iter(record["images"]))
     for path in (own, *map(Path, camera.photographs)):
         if path.is_file():
-            return image_header(read_bytes(path), path).orientation
+            header = image_header(read_bytes(path), path)
+            return 1 if header.format == "HEIC" else header.orientation
     print(
         f"warning: {folder}: none of its photographs is there to tell how EXIF turned "
         "them; they are taken as not turned",

@@ -150,15 +150,12 @@ def _over_jumps(
     jump = np.zeros(depth.shape, bool)
     jump[:, :-1] = np.abs(np.diff(depth)) > most[:, :-1]
     jump[:-1] |= np.abs(np.diff(depth, axis=0)) > most[:-1]
-    height, width = (-(-n // step) for n in depth.shape)
-    padding = [
-        (0, n * step - m) for n, m in zip((height, width), depth.shape, strict=True)
-    ]
-    cells = np.pad(jump, padding).reshape(height, step, width, step).any((1, 3))
-    row, column = (
-        x.min(-1) for x in np.divmod(mesh.pixels[mesh.faces], depth.shape[1])
-    )
-    return cells[row // step, column // step]
+    jump = np.pad(jump, [(0, -n % step) for n in jump.shape])
+    height, width = (n // step for n in jump.shape)
+    cells = jump.reshape(height, step, width, step).any(axis=(1, 3))
+    corners = np.divmod(mesh.pixels[mesh.faces], depth.shape[1])
+    row, column = (places.min(-1) // step for places in corners)
+    return np.asarray(cells)[row, column]
 
 
 def _require_faces(mesh: Mesh) -> None:

@@ -1,0 +1,69 @@
+"""What the page for a browser alone computes beside the network, without a browser."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from node_calls import in_node, typed
+
+from unips_jax.io.masks import lit_pixels
+
+SOURCE = Path(__file__).resolve().parents[2] / "tools" / "browser"
+
+
+@pytest.mark.parametrize("transfer", ["srgb", "linear"])
+def test_black_is_that_of_the_command(transfer):
+    brightest = np.full((5, 9), 200, np.uint8)
+    brightest[:, :3], brightest[:, 3:6] = 0, 30
+    found = in_node(
+        SOURCE / "photographs.js",
+        "leaveOut",
+        typed(np.ones(45), "Uint8Array"),
+        [dict(width=9, height=5, channels=1, top=255, alpha=None)],
+        typed(brightest, "Uint8Array"),
+        transfer,
+    )
+    expected = lit_pixels(brightest, transfer)
+    np.testing.assert_array_equal(np.reshape(found, (5, 9)), expected)
+    assert expected.sum() == (15 if transfer == "srgb" else 30)
+
+
+@pytest.mark.parametrize("transfer", ["srgb", "linear"])
+def test_photographs_are_averaged_over_squares_in_linear_light(transfer):
+    values = np.random.default_rng(0).integers(0, 256, (2, 5, 7, 3))
+    mask = np.random.default_rng(1).random((5, 7)) < 0.6
+    files = [
+        dict(width=7, height=5, channels=3, top=255, values=typed(v, "Uint8Array"))
+        for v in values
+    ]
+    found = in_node(
+        SOURCE / "photographs.js",
+        "linearImages",
+        files,
+        typed(mask, "Uint8Array"),
+        transfer,
+        2,
+    )
+    light = values / 255
+    if transfer == "srgb":
+        high = ((light + 0.055) / 1.055) ** 2.4
+        light = np.where(light <= 0.04045, light / 12.92, high)
+    expected = light[:, :4, :6].reshape(2, 2, 2, 3, 2, 3).mean(axis=(2, 4))
+    np.testing.assert_allclose(found["images"], expected.ravel(), atol=1e-6)
+    share = mask[:4, :6].reshape(2, 2, 3, 2).mean(axis=(1, 3))
+    assert found["mask"] == (share > 0.5).astype(int).ravel().tolist()
+    assert (found["width"], found["height"]) == (3, 2)
+
+
+def test_the_pages_depth_is_the_surface():
+    """Of an ellipsoid beside the middle."""
+    rows, columns = np.mgrid[:120, :140]
+    x, y = (columns - 60) / 45, -(rows - 70) / 36
+    inside = x**2 + y**2 < 0.8
+    z = np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))
+    normals = np.stack([x, y / 0.8, z], -1)
+    normals *= inside[..., None] / np.linalg.norm(normals, axis=-1, keepdims=True)
+    found = in_node(SOURCE / "surface.js", "depthOf", typed(normals), 140, 120)
+    off = (np.reshape(found, (120, 140)) + 45 * z)[inside]
+    assert np.ptp(45 * z[inside]) > 20
+    assert np.abs(off - off.mean()).max() < 0.1  # measured: 0.004 in the mean
