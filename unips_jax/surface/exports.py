@@ -150,10 +150,11 @@ def _over_jumps(
     jump = np.zeros(depth.shape, bool)
     jump[:, :-1] = np.abs(np.diff(depth)) > most[:, :-1]
     jump[:-1] |= np.abs(np.diff(depth, axis=0)) > most[:-1]
-    jump = np.pad(jump, [(0, -n % step) for n in jump.shape])
-    height, width = (n // step for n in jump.shape)
-    cells = jump.reshape(height, step, width, step).any(axis=(1, 3))
-    corners = np.divmod(mesh.pixels[mesh.faces], depth.shape[1])
+    height, width = depth.shape
+    jump = np.pad(jump, ((0, -height % step), (0, -width % step)))
+    blocks = jump.reshape(-(-height // step), step, -1, step)
+    cells = np.any(blocks, axis=(1, 3))
+    corners = np.divmod(mesh.pixels[mesh.faces], width)
     row, column = (places.min(-1) // step for places in corners)
     return np.asarray(cells)[row, column]
 
