@@ -1,5 +1,6 @@
 """Angular errors of normal maps."""
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
@@ -20,8 +21,7 @@ def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
         DiLiGenT's published table counts it. The gradient is 0 there, and where the
         vectors are parallel.
     """
-    predicted = jnp.asarray(predicted, jnp.float32)
-    true = jnp.asarray(true, jnp.float32)
+    predicted, true = _of_unit_size(predicted), _of_unit_size(true)
     squared = jnp.sum(jnp.cross(predicted, true) ** 2, axis=-1)
     parallel = squared == 0
     # Both arguments of a `where` are differentiated: the one not taken must be finite.
@@ -30,6 +30,13 @@ def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
     zero = parallel & (dot == 0)
     angle = jnp.rad2deg(jnp.arctan2(cross, jnp.where(zero, 1.0, dot)))
     return jnp.where(zero, 90.0, angle)
+
+
+def _of_unit_size(vectors: ArrayLike) -> Array:
+    """Scaled, so that no square leaves float32's range; angles stay."""
+    vectors = jnp.asarray(vectors, jnp.float32)
+    largest = jnp.max(jnp.abs(vectors), axis=-1, keepdims=True)
+    return vectors / jax.lax.stop_gradient(jnp.where(largest > 0, largest, 1.0))
 
 
 def mean_angular_error_deg(

@@ -117,6 +117,19 @@ def _check_parameters(path: Path, config: ModelConfig, file: Any) -> None:
     raise_misfits(str(path), missing, sorted(set(stored) - set(expected)), misshapen)
 
 
+def _check_shapes(
+    path: str | os.PathLike[str], config: ModelConfig, arrays: Mapping[str, np.ndarray]
+) -> None:
+    expected = param_shapes(config)
+    misshapen = [
+        f"{name} {arrays[name].shape} (expected {expected[name]})"
+        for name in sorted(set(arrays) & set(expected))
+        if arrays[name].shape != expected[name]
+    ]
+    missing = sorted(set(expected) - set(arrays))
+    raise_misfits(str(path), missing, sorted(set(arrays) - set(expected)), misshapen)
+
+
 def weights_path(source: str | os.PathLike[str]) -> Path:
     """The file behind a name of shipped weights, or behind a path."""
     if str(source) in SHIPPED:
@@ -160,11 +173,17 @@ def save_weights(
     `record` is how they were made, anything JSON can hold; `half` stores float16.
     `InputError` for parameters that `load_weights` refuses; the file stays as it was.
     """
+    if str(path) in SHIPPED:
+        raise InputError(
+            f"{path}: expected another name than those of shipped weights, which "
+            "`load_weights` reads by it; add .safetensors"
+        )
     dtype = np.float16 if half else np.float32
     arrays = {
         name: np.ascontiguousarray(array, dtype)
         for name, array in flatten_dict(network.params, sep=".").items()
     }
+    _check_shapes(path, network.config, arrays)
     _check_values(path, arrays)
     text = to_json(network.config)
     metadata = {

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_networks import lively_network
 
 from unips_jax.baselines.gcnet.parameters import save_params
 from unips_jax.errors import InputError
@@ -15,16 +16,12 @@ from unips_jax.evaluation.store import Store
 from unips_jax.io import claims, door
 from unips_jax.io.images import check_picture
 from unips_jax.io.ps_wild import write_folder
-from unips_jax.models.config import ModelConfig
-from unips_jax.models.network import UniversalNetwork
 from unips_jax.weights import save_weights
 
 PARAMS = {"a": {"kernel": np.zeros(3, np.float32)}}
 WRITERS = {
     "write_whole": lambda folder: door.write_whole(folder / "a", b"data"),
-    "save_weights": lambda folder: save_weights(
-        folder / "a", UniversalNetwork(ModelConfig.tiny(), PARAMS)
-    ),
+    "save_weights": lambda folder: save_weights(folder / "a", lively_network()),
     "save_params": lambda folder: save_params(folder / "a", PARAMS, "lcnet"),
     "commit": lambda folder: Store(folder).commit("a", {}, None),
 }

@@ -169,6 +169,30 @@ def test_runs_inside_shard_map(network):
     np.testing.assert_allclose(sharded(images, masks), run(images, masks), atol=1e-5)
 
 
+def test_decoders_alone_may_differ_over_devices(network):
+    """Several on one encoder."""
+    images, mask = ellipse_photographs()
+    mesh = jax.sharding.Mesh(jax.devices()[:1], "data")
+    spec = jax.sharding.PartitionSpec("data")
+
+    def run(decoders):
+        decoder = jax.tree.map(lambda x: x[0], decoders)
+        params = {**network.params, "decoder": decoder}
+        own = dataclasses.replace(network, params=params)
+        return estimate_normals(own, images, mask)[None]
+
+    decoders = jax.tree.map(lambda x: x[None], network.params["decoder"])
+    sharded = jax.shard_map(run, mesh=mesh, in_specs=spec, out_specs=spec)
+    assert jax.eval_shape(sharded, decoders).shape == (1, *mask.shape, 3)
+
+
+def test_photographs_may_be_of_half_precision(network):
+    images, mask = ellipse_photographs()
+    half = jnp.asarray(images, jnp.bfloat16)
+    expected = estimate_photographs(network, np.float32(half), mask)
+    np.testing.assert_array_equal(estimate_photographs(network, half, mask), expected)
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite_show(network, value):
     images, mask = ellipse_photographs()

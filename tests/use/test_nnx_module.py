@@ -75,6 +75,9 @@ def test_a_folder_comes_back_with_what_was_trained(network, seen, tmp_path):
     for a, b in zip(*map(jax.tree.leaves, (again.network, model.network)), strict=True):
         np.testing.assert_array_equal(a, b)
     assert load_weights(folder / "model.safetensors").config == SHALLOW_OURS
+    (folder / "weights").write_bytes((folder / "model.safetensors").read_bytes())
+    assert NnxNetwork.from_pretrained(folder / "weights").config == SHALLOW_OURS
+    (folder / "weights").unlink()
     with pytest.raises(InputError, match="expected another name than that of shipped"):
         model.save_pretrained(tmp_path / "tiny")  # from_pretrained("tiny") is another
     (folder / "README.md").write_text("my own words")

@@ -20,6 +20,15 @@ def test_one_mask_serves_several_estimates():
         assert mean_angular_error_deg(*pair) == pytest.approx(45, abs=1e-4)
 
 
+@pytest.mark.parametrize("scale", [1e-30, 1e-12, 1.0, 1e12, 1e30])
+def test_lengths_do_not_matter_to_angles(scale):
+    tilted, true = scale * jnp.float32([1, 0, 1]), jnp.float32([0, 0, 1])
+    for pair in ((tilted, true), (true, tilted), (tilted, scale * true)):
+        assert angular_error_deg(*pair) == pytest.approx(45, abs=1e-4)
+    gradient = jax.grad(lambda x: angular_error_deg(x, true))(tilted)
+    np.testing.assert_allclose(scale * gradient, [28.6479, 0, -28.6479], atol=1e-3)
+
+
 def test_window_round_trip():
     x = jax.random.normal(jax.random.key(0), (2, 10, 15, 3))
     windows = ops.window_partition(x, 5)
@@ -98,6 +107,12 @@ def test_normalize_has_finite_gradients_at_zero():
     np.testing.assert_allclose(ops.normalize(x), [[0, 0, 0], [0.6, 0, 0.8]], atol=1e-7)
     gradient = jax.grad(lambda x: ops.normalize(x).sum())(x)
     assert np.isfinite(gradient).all()
+
+
+def test_normalize_makes_no_nan_of_its_own():
+    """For who searches the first one, step by step."""
+    with jax.debug_nans(True), jax.disable_jit():
+        jax.grad(lambda x: ops.normalize(x).sum())(jnp.float32([[0, 0, 2]]))
 
 
 def test_normalize_shows_what_is_not_finite():

@@ -59,6 +59,18 @@ def test_a_bucket_is_no_folder_here(traced):
     assert programs._place("double") is None
 
 
+@pytest.mark.parametrize(
+    ("platform", "version", "expected"),
+    [("cpu", "", "cpu"), ("tpu", "", "tpu"), ("gpu", "cuda 13010", "cuda")]
+    + [("gpu", "PJRT C API\nrocm 70000", "rocm")],
+)
+def test_programs_are_for_the_device_that_was_chosen(platform, version, expected):
+    """Whatever the default backend is."""
+    client = SimpleNamespace(platform_version=version)
+    device = SimpleNamespace(platform=platform, client=client)
+    assert programs._export_platform(device) == expected
+
+
 def test_other_functions_and_other_code_are_apart(traced, monkeypatch):
     """Of equal shapes: a function's name and its code are part of the key."""
     double, count, _ = traced

@@ -5,9 +5,11 @@ import json
 import tracemalloc
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax.traverse_util import flatten_dict
+from flax.traverse_util import flatten_dict, unflatten_dict
 from safetensors import safe_open
 from safetensors.numpy import save_file
 from small_networks import SMALL, lively_network, lively_weights
@@ -92,7 +94,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
     path = tmp_path / "small.safetensors"
     path.mkdir()
     with pytest.raises(InputError, match=r"small\.safetensors: cannot be written"):
-        save_weights(path, UniversalNetwork(SMALL, {}))
+        save_weights(path, lively_network())
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -102,15 +104,18 @@ def test_all_problems_are_named_at_once(tmp_path):
     params["decoder.prediction.fc2.bias"] = np.zeros(4)
     params["decoder.prediction.fc9.bias"] = np.zeros(4)
     path = tmp_path / "wrong.safetensors"
-    save_weights(path, UniversalNetwork(SMALL, params))
-    with pytest.raises(InputError) as raised:
-        load_weights(path)
-    for name in (
-        "decoder.prediction.fc1.bias",
-        "decoder.prediction.fc2.bias (4,)",
-        "decoder.prediction.fc9.bias",
-    ):
-        assert name in str(raised.value)
+    arrays = {name: np.asarray(array, np.float32) for name, array in params.items()}
+    save_file(arrays, path, {"config": to_json(SMALL), "hash": ""})
+    wrong = UniversalNetwork(SMALL, unflatten_dict(params, sep="."))
+    for problem in (lambda: load_weights(path), lambda: save_weights(path, wrong)):
+        with pytest.raises(InputError) as raised:
+            problem()
+        for name in (
+            "decoder.prediction.fc1.bias",
+            "decoder.prediction.fc2.bias (4,)",
+            "decoder.prediction.fc9.bias",
+        ):
+            assert name in str(raised.value)
 
 
 def test_official_problems_are_named_at_once():
@@ -230,3 +235,20 @@ def test_hostile_records_take_one_line(tmp_path, record):
     save_weights(path, lively_network())
     with pytest.raises(InputError, match="expected a JSON object"):
         weights_record(rewritten(path, record=record))
+
+
+def test_parameters_that_do_not_fit_are_not_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    network = UniversalNetwork(SMALL, lively_weights())
+    save_weights("good.safetensors", network)
+    before = Path("good.safetensors").read_bytes()
+    ensemble = jax.tree.map(lambda x: jnp.stack([x, x]), network)
+    half = UniversalNetwork(SMALL, {"encoder": network.params["encoder"]})
+    refused = r"good\.safetensors: parameters do not fit.{1,999}$"  # names some
+    for wrong in (ensemble, half):
+        with pytest.raises(InputError, match=refused):
+            save_weights("good.safetensors", wrong)
+    assert Path("good.safetensors").read_bytes() == before
+    with pytest.raises(InputError, match="tiny: expected another name than those of"):
+        save_weights("tiny", network)  # load_weights("tiny") gives the shipped ones
+    assert not Path("tiny").exists()

@@ -113,7 +113,8 @@ class NnxNetwork(nnx.Module):
     def from_pretrained(cls, source: str | os.PathLike[str]) -> Self:
         """Reads shipped weights, a weights file, a folder, or a name of a hub."""
         folder = Path(source)
-        if str(source) in SHIPPED or folder.suffix == ".safetensors":
+        a_file = folder.suffix == ".safetensors" or folder.is_file()
+        if str(source) in SHIPPED or a_file:
             return cls(load_weights(source))
         if not folder.is_dir():
             folder = _fetched(str(source))

@@ -88,8 +88,8 @@ def kept(function: Callable[..., tuple[Any, ...]], *, rarely_run: bool = False) 
             exported = _read(place)
             if exported is None:
                 # By itself it is for the default backend, whatever the device.
-                only = ["cpu"] if default_device().platform == "cpu" else None
-                exported = jax.export.export(traced, platforms=only)(*arrays)
+                only = _export_platform(default_device())
+                exported = jax.export.export(traced, platforms=[only])(*arrays)
                 _write(place, exported)
             traced = jax.jit(exported.call)
         chosen = "xla_backend_optimization_level" in os.environ.get("XLA_FLAGS", "")
@@ -112,6 +112,13 @@ def default_device() -> jax.Device:
     if isinstance(chosen, jax.Device):
         return chosen
     return jax.local_devices(backend=chosen)[0]
+
+
+def _export_platform(device: jax.Device) -> str:
+    """A device's platform as `jax.export` names it: there are two kinds of GPU."""
+    if device.platform != "gpu":
+        return device.platform
+    return "rocm" if "rocm" in device.client.platform_version.lower() else "cuda"
 
 
 def _one_device() -> jax.sharding.Mesh:

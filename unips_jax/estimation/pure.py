@@ -149,7 +149,8 @@ def _estimate(
         # Zeros that vary over the devices of a `shard_map` as the result does.
         result = jax.eval_shape(run, part)
         zeros = jnp.zeros(result.shape, result.dtype)
-        varying = encoding.contexts.reshape(-1)[0].astype(zeros.dtype)
+        used = (encoding.contexts, *jax.tree.leaves(network.params["decoder"]))
+        varying = sum(leaf.reshape(-1)[0].astype(zeros.dtype) for leaf in used)
         empty = jnp.where(False, varying, zeros)
         return jax.lax.cond(part[1][0] < count, run, lambda _: empty, part)
 

@@ -118,6 +118,8 @@ def estimate_with_lights(
 ) -> NormalsAndLights:
     """`estimate_photographs`, and the guessed lights; `preview` gets a coarse grid."""
     images = np.asarray(images)
+    if images.dtype.kind == "V" and jax.numpy.issubdtype(images.dtype, np.floating):
+        images = images.astype(np.float32)  # bfloat16, which NumPy does not know
     check_images(network, images.shape)
     require(
         images.dtype.kind in "uf",

@@ -22,6 +22,8 @@ from unips_jax.models.views import Frame, Views, context_cells
 
 Params = dict[str, Any]
 
+_NAMED = 8  # parameters of one kind in an error's line
+
 
 @functools.partial(
     jax.tree_util.register_dataclass, data_fields=["params"], meta_fields=["config"]
@@ -237,9 +239,13 @@ def param_shapes(config: ModelConfig) -> Mapping[str, tuple[int, ...]]:
 def raise_misfits(
     source: str, missing: list[str], unexpected: list[str], misshapen: list[str]
 ) -> None:
-    """Raises `InputError` naming all parameters that do not fit, if there are any."""
+    """Raises `InputError` naming parameters that do not fit, if there are any."""
     problems = {"missing": missing, "unexpected": unexpected, "misshapen": misshapen}
-    found = [f"{len(v)} {k}: {', '.join(v)}" for k, v in problems.items() if v]
+    found = [
+        f"{len(v)} {k}: {', '.join(v[:_NAMED])}{', ...' * (len(v) > _NAMED)}"
+        for k, v in problems.items()
+        if v
+    ]
     if found:
         raise InputError(f"{source}: parameters do not fit. {'; '.join(found)}")
 

@@ -223,7 +223,8 @@ def normalize(x: Array) -> Array:
     squared = jnp.sum(jnp.square(x), axis=-1, keepdims=True)
     zero = squared <= 1e-12**2  # false for NaN
     unit = jnp.where(zero, 0.0, x * jax.lax.rsqrt(jnp.where(zero, 1.0, squared)))
-    return jnp.where(jnp.isfinite(squared), unit, jnp.nan)
+    # NaN by a difference: a constant one would stop a search for where they begin.
+    return jnp.where(jnp.isfinite(squared), unit, squared - squared)
 
 
 def gelu(x: Array) -> Array:
