@@ -1,4 +1,4 @@
-"""What `unips estimate` writes beside normals and depth: `estimation.extras`."""
+"""What `unips estimate` writes beside normals and depth, and confidence."""
 
 import json
 

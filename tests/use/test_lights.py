@@ -1,4 +1,4 @@
-"""Lights of photographs, base colour, polynomial texture maps, confidence."""
+"""Lights of photographs, and base colours by them."""
 
 import json
 
