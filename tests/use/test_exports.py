@@ -101,6 +101,20 @@ def test_a_model_does_not_bridge_jumps(focal):
         assert read.body_count == (1 if bridged else 4)
 
 
+@pytest.mark.parametrize("faces", [20_000, 9_000, 3_000])
+def test_a_model_has_no_spikes_at_an_outline(faces):
+    """A disc that stands 100 pixels above a plane, on grids of 2, 3 and 5 pixels."""
+    row, column = np.mgrid[:200, :200] - 99.5
+    depth = np.where(np.hypot(row, column) < 60, 400, 500).astype(np.float32)
+    normals = np.broadcast_to(np.float32([0, 0, 1]), (*depth.shape, 3))
+    data, _ = blender_model(
+        depth, normals, Scale(None, 1.0, "m"), name="disc", max_faces=faces
+    )
+    read = trimesh.load(io.BytesIO(data), file_type="glb", force="mesh")
+    assert np.ptp(read.vertices[read.faces][..., 2], axis=1).max() < 1e-3
+    assert len(read.faces) > 0.6 * faces
+
+
 @pytest.mark.parametrize("focal", [None, 90.0])
 def test_a_models_vertices_lie_on_their_rays(focal, tmp_path):
     depth, normals, _ = rippled_dome()

@@ -116,6 +116,8 @@ def test_planes_of_a_texture_map_lie_next_to_its_record(tmp_path):
     planes = [f"plane_{index}.jpg" for index in range(12)]
     touch(tmp_path, *planes)
     assert select(tmp_path).names == tuple(planes)
+    # The application sees no record, and sets them aside.
+    assert [is_map(name) for name in planes] == [True] * 6 + [False] * 6
     for record in ("info.json", "normals.json"):
         touch(tmp_path, record)
         selection = select(tmp_path)

@@ -36,7 +36,7 @@ const editor = new Editor($("photograph"), (...box) => findObject(box), () => {
 async function take(list, mask = null, again = false) {
   const turn = again ? 0 : ++dropped;
   const files = [...list].filter((file) => file.size && !file.name.startsWith("."))
-    .filter((file) => /^image\//.test(file.type) || /\.hei[cf]$/i.test(file.name))
+    .filter((file) => /^image\//.test(file.type) || /\.(hei[cf]|hif)$/i.test(file.name))
     .sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   const masks = files.filter((file) => isMask(file.name));
   const rest = files.filter((file) => !isMask(file.name));

@@ -89,7 +89,7 @@ async function decoded(file) {
       await image.decode();
       return await createImageBitmap(image, options);
     } catch {
-      const heic = /\.hei[cf]$/i.test(file.name) || /hei[cf]/.test(file.type);
+      const heic = /\.(hei[cf]|hif)$/i.test(file.name) || /hei[cf]/.test(file.type);
       throw new Refusal(heic ? "heic" : "image", { name: file.name });
     } finally {
       URL.revokeObjectURL(image.src);
@@ -97,7 +97,7 @@ async function decoded(file) {
   }
 }
 
-// What files are by their names, as unips_jax/io/selection.py has it.
+// What files are by their names, as unips_jax/io/selection.py has it among an output.
 const MAPS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|ness)?";
 const MAP = new RegExp(
   `\\b(?:${MAPS}|albedo|gt)\\b|^shading\\b|^sheet$|^height$|^confidence$|^unreliable$|^plane [0-5]$`, "i",
@@ -189,6 +189,7 @@ export function leaveOut(mask, files, brightest, transfer) {
   const { width, top } = files[0];
   for (const { alpha } of files) {
     if (!alpha || alpha.every((value) => value === 255 || value === 65535)) continue;
+    if (alpha.every((value) => value === 0)) continue; // by programs that know no alpha
     const opaque = aboveHalf(alpha);
     for (let i = 0; i < mask.length; i++) if (!opaque[i]) mask[i] = 0;
   }

@@ -21,6 +21,7 @@ from unips_jax.io.results import check_target
 from unips_jax.viewer.page import (
     FOLDER_RECORD,
     notes_in,
+    shown_title,
     title_in,
     with_depth,
     write_tiled_view,
@@ -96,7 +97,10 @@ def _target(options: Options) -> Path:
 
 def _check_notes(page: Path, title: str) -> None:
     """The notes that a page keeps are on the object that it shows."""
-    if notes_in(page) and title_in(page) != title:
+    kept = notes_in(page) or {}
+    some = kept.get("notes") or kept.get("views") or (kept.get("scale") or {}).get("mm")
+    title = shown_title(title)
+    if some and title_in(page) != title:
         raise InputError(
             f"{page}: expected a new page, or one of {title}, got notes on "
             f"{title_in(page)}; name another with -o, or delete this one"

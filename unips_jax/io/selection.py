@@ -41,14 +41,14 @@ _MAP_WORDS = "normals?|nrm|masks?|depth|base[ _-]?colou?r|roughness|metal(?:lic|
 _MAP_NAME = re.compile(
     # Such a word of its own.
     rf"\b(?:{_MAP_WORDS}|albedo|gt)\b|^shading\b|^sheet$|^height$"
-    r"|^confidence$|^unreliable$",
+    r"|^confidence$|^unreliable$|^plane [0-5]$",
     re.IGNORECASE,
 )
 _MAP_ONLY = re.compile(
     rf"(?:{_MAP_WORDS}|albedo|shading|sheet|gt|[\W\d_])*", re.IGNORECASE
 )
 
-_PLANE = re.compile(r"plane_[0-5]\.jpg")  # of a texture map
+_PLANE = re.compile(r"plane_[0-5]\.jpg")  # of a texture map, or of a toy plane
 _PLANES_OF = {"info.json", "normals.json"}
 
 
@@ -119,10 +119,11 @@ def select(
             f"{folder}: expected a folder of photographs, got {what}{hint}"
         )
     try:
-        entries = [e for e in in_order(folder) if not e.name.startswith(".")]
+        entries = in_order(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
     unmet = [p for p in exclude if not any(_fits(e, [p]) for e in entries)]
+    entries = [e for e in entries if not e.name.startswith(".")]
     own = [e for e in entries if _is_mask(e) and not _fits(e, exclude)]
     unused = "by --mask none" if not masks else "a mask, and another one is given"
     if masks and mask_file is None:
@@ -242,8 +243,9 @@ def _by_name(
         if files := _listed(path, images, left_out):
             return files
     own = any(entry.name in _PLANES_OF for entry in entries)
-    some = [f for f in images if not (own and _PLANE.fullmatch(f.name))]
-    files = [file for file in some if not is_map(file.name)] or series_of(some)
+    toys = [f for f in images if not own and _PLANE.fullmatch(f.name)]
+    files = [file for file in images if file in toys or not is_map(file.name)]
+    files = files or series_of(images)
     maps = [file.name for file in images if file not in files]
     if maps:
         left_out["a map or output, by its name"] = maps

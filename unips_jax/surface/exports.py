@@ -147,9 +147,13 @@ def _over_jumps(
     """Which triangles of a grid lie where neighbouring pixels' depths jump: `[F]`."""
     pixel = scale.pixel_size if scale.focal is None else depth / scale.focal
     most = np.broadcast_to(cut * pixel, depth.shape)
-    jump = np.zeros(depth.shape, bool)
-    jump[:, :-1] = np.abs(np.diff(depth)) > most[:, :-1]
-    jump[:-1] |= np.abs(np.diff(depth, axis=0)) > most[:-1]
+    across, down = np.zeros((2, *depth.shape), bool)
+    across[:, :-1] = np.abs(np.diff(depth)) > most[:, :-1]
+    down[:-1] = np.abs(np.diff(depth, axis=0)) > most[:-1]
+    # Cells share their borders' edges with those before them.
+    jump = across | down
+    jump[:-1] |= across[1:]
+    jump[:, :-1] |= down[:, 1:]
     height, width = depth.shape
     jump = np.pad(jump, ((0, -height % step), (0, -width % step)))
     blocks = jump.reshape(-(-height // step), step, -1, step)
@@ -163,7 +167,7 @@ def _require_faces(mesh: Mesh) -> None:
     if not len(mesh.faces):
         raise InputError(
             "--export: expected a surface of more than single pixels, got no triangle; "
-            "give a larger mask"
+            "give a larger mask (`unips surface`: or a larger --cut)"
         )
 
 

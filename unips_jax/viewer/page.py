@@ -78,6 +78,11 @@ def notes_in(path: Path) -> dict[str, Any] | None:
     return notes if isinstance(notes, dict) and notes else None
 
 
+def shown_title(title: str) -> str:
+    """A title as a page has it: folders' names may be of any encoding."""
+    return title.encode(errors="replace").decode()
+
+
 def title_in(path: Path) -> str | None:
     """The object that a page shows; None if there is no page."""
     try:
@@ -151,7 +156,7 @@ def _render(title: str, data: dict[str, Any], notes: dict[str, Any] | None) -> s
         undefined=jinja2.StrictUndefined,
     )
     return environment.get_template("page.html.j2").render(
-        title=title.encode(errors="replace").decode(),  # of a folder, in any encoding
+        title=shown_title(title),
         strings=data["strings"],
         data=_json(data),
         notes=_json(notes or {}),

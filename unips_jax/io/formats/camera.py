@@ -32,6 +32,7 @@ from unips_jax.io.formats.tiff import raw_facts
 _FLIPS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's and EXIF's orientations
 _BOXES = 1 << 20  # bytes at the beginning, in which what describes the picture lies
 _TURNS = {3: b"irot\2", 6: b"irot\3", 8: b"irot\1"}  # boxes by EXIF's orientation
+_DAY = 86_400  # seconds
 _KNOWN_OF_RAW = ("camera", "exposure", "focal_35mm", "taken")
 _AV1 = re.compile(rb"av1C..(.)", re.DOTALL)  # bits of an AVIF's samples
 _BYTE = np.dtype(np.uint8)
@@ -89,7 +90,8 @@ def _shot(raw: Any) -> dict[str, Any]:
         return {}
     exposure = exposure_of(other.shutter_speed, other.aperture, other.iso_speed)
     taken = other.timestamp.replace(tzinfo=datetime.UTC).timestamp()
-    return {"exposure": exposure, "taken": max(taken, 0)}
+    known = taken > _DAY  # 0 in any zone: a camera whose clock was not set
+    return {"exposure": exposure, "taken": taken if known else 0}
 
 
 def open_heic(data: bytes) -> Encoded:

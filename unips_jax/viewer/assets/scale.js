@@ -25,7 +25,8 @@ const scale = {
 
 /** Whether a kept scale is of this result; those of earlier versions name no camera. */
 function holds({ unit, focal }) {
-  return sameShape && unit === measured.unit && (focal ?? measured.focal) === measured.focal;
+  const then = focal ? focal * grown[0] : measured.focal;
+  return sameShape && unit === measured.unit && Math.abs(then - measured.focal) <= 1;
 }
 
 /** A kept scale for pixels of this result's size. */
