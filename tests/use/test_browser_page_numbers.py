@@ -67,3 +67,20 @@ def test_the_pages_depth_is_the_surface():
     off = (np.reshape(found, (120, 140)) + 45 * z)[inside]
     assert np.ptp(45 * z[inside]) > 20
     assert np.abs(off - off.mean()).max() < 0.1  # measured: 0.004 in the mean
+
+
+def test_alpha_that_is_0_everywhere_means_none():
+    """As programs that know no alpha write it."""
+    brightest, alpha = np.full(45, 200), np.zeros(45)
+    for opaque in (0, 15):
+        alpha[:opaque] = 255
+        file = dict(width=9, height=5, channels=3, top=255)
+        found = in_node(
+            SOURCE / "photographs.js",
+            "leaveOut",
+            typed(np.ones(45), "Uint8Array"),
+            [file | {"alpha": typed(alpha, "Uint8Array")}],
+            typed(brightest, "Uint8Array"),
+            "srgb",
+        )
+        assert sum(found) == (opaque or 45)
