@@ -1,6 +1,9 @@
-"""ICC profiles, byte by byte."""
+"""ICC profiles and PNG chunks, byte by byte."""
 
 import struct
+import zlib
+
+from picture_files import save
 
 
 def gamma_curve(exponent: float) -> bytes:
@@ -45,3 +48,16 @@ ADOBE = rgb_profile(
     (0.20528, 0.62567, 0.06087),
     (0.14919, 0.06322, 0.74457),
 )
+
+
+def chunk(name: bytes, body: bytes) -> bytes:
+    """A chunk of a PNG, with its checksum."""
+    checksum = struct.pack(">I", zlib.crc32(name + body))
+    return struct.pack(">I", len(body)) + name + body + checksum
+
+
+def tagged_png(path, pixels, *chunks):
+    """A PNG with further chunks behind its header."""
+    png = save(path, pixels).read_bytes()
+    path.write_bytes(png[:33] + b"".join(chunks) + png[33:])
+    return path

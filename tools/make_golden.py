@@ -15,6 +15,7 @@ import math
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,29 +29,7 @@ from unips_jax.models.network import UniversalNetwork, encode, init_params
 from unips_jax.models.views import make_views, normalize_images
 from unips_jax.training.loss import LossOptions, Objects, training_loss
 
-CONFIGS: dict[str, ModelConfig] = {
-    attention: UniPSConfig(
-        canonical_size=16,
-        patch_channels=(3, 5),
-        embed_dim=8,
-        depths=(1, 2),
-        num_heads=(2, 4),
-        window_size=3,
-        communication_heads=4,
-        context_dim=8,
-        pool_scales=(1, 2),
-        attention=attention,  # type: ignore[arg-type]
-        aggregation_layers=2,
-        hidden_dim=12,
-        aggregation_heads=3,
-        aggregation_mlp_dim=13,
-        pma_mlp_dim=11,
-        predictor_dim=5,
-        context_sampling=sampling,  # type: ignore[arg-type]
-    )
-    for attention, sampling in (("pre_norm", "center"), ("released", "corner"))
-}
-CONFIGS["self_calibrating"] = SelfCalibratingConfig(
+_SMALL: dict[str, Any] = dict(
     canonical_size=16,
     patch_channels=(3, 5),
     embed_dim=8,
@@ -66,14 +45,21 @@ CONFIGS["self_calibrating"] = SelfCalibratingConfig(
     aggregation_mlp_dim=13,
     pma_mlp_dim=11,
     predictor_dim=5,
-    ratio_dim=2,
-    consensus_blocks=2,
-    consensus_dim=32,
-    observation_dim=4,
-    fine_dim=5,
-    light_tokens=True,
-    known_lights=True,
 )
+CONFIGS: dict[str, ModelConfig] = {
+    "pre_norm": UniPSConfig(**_SMALL, attention="pre_norm", context_sampling="center"),
+    "released": UniPSConfig(**_SMALL, attention="released", context_sampling="corner"),
+    "self_calibrating": SelfCalibratingConfig(
+        **_SMALL,
+        ratio_dim=2,
+        consensus_blocks=2,
+        consensus_dim=32,
+        observation_dim=4,
+        fine_dim=5,
+        light_tokens=True,
+        known_lights=True,
+    ),
+}
 
 
 def draw(name: str, shape: tuple[int, ...]) -> np.ndarray:

@@ -1,12 +1,11 @@
 """Wide colours that a file states without a profile."""
 
 import struct
-import zlib
 
 import numpy as np
 import OpenEXR
 import pytest
-from colour_profiles import ADOBE, P3
+from colour_profiles import ADOBE, P3, chunk, tagged_png
 from picture_files import save, smooth
 from PIL import Image, features
 
@@ -86,17 +85,6 @@ def test_colours_that_are_srgb_or_none(chromaticities):
     assert primaries_to_srgb(chromaticities) is None
     encoding = encoding_of(np.uint8, primaries=chromaticities)
     assert encoding.to_srgb is None and encoding.rule == "8-bit values"
-
-
-def chunk(name: bytes, body: bytes) -> bytes:
-    checksum = struct.pack(">I", zlib.crc32(name + body))
-    return struct.pack(">I", len(body)) + name + body + checksum
-
-
-def tagged_png(path, pixels, *chunks):
-    png = save(path, pixels).read_bytes()
-    path.write_bytes(png[:33] + b"".join(chunks) + png[33:])
-    return path
 
 
 def require_colors(path, primaries):

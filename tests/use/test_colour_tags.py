@@ -10,7 +10,14 @@ import imagecodecs
 import numpy as np
 import pytest
 import tifffile
-from colour_profiles import ADOBE, P3, gamma_curve, parametric
+from colour_profiles import (
+    ADOBE,
+    P3,
+    chunk,
+    gamma_curve,
+    parametric,
+    tagged_png,
+)
 from picture_files import save, smooth
 from PIL import Image, ImageCms
 from plain_objects import hemisphere
@@ -38,17 +45,6 @@ def profile(curve: bytes) -> bytes:
     """No more of a profile than its tone curve."""
     tags = struct.pack(">I4sII", 1, b"gTRC", 144, len(curve))
     return bytes(128) + tags + curve
-
-
-def chunk(name: bytes, body: bytes) -> bytes:
-    checksum = struct.pack(">I", zlib.crc32(name + body))
-    return struct.pack(">I", len(body)) + name + body + checksum
-
-
-def tagged_png(path, pixels, *chunks):
-    png = save(path, pixels).read_bytes()
-    path.write_bytes(png[:33] + b"".join(chunks) + png[33:])
-    return path
 
 
 def png_profile(icc: bytes) -> bytes:
