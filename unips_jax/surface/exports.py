@@ -54,7 +54,7 @@ def blender_model(
 
     Args:
         max_faces: of the grid, 100,000 if not given.
-        cut: triangles over jumps of depth of more than so many pixels are left out.
+        cut: triangles over jumps of depth of more pixels than this are left out.
         directx: green is down in the normal map.
         longest_mm: the object's longest side, instead of the scale.
     """
