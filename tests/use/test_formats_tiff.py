@@ -4,12 +4,14 @@ import contextlib
 import itertools
 import struct
 
+import imagecodecs
 import numpy as np
 import pytest
 from picture_files import noise, read, smooth
 from tiff_writer import COMPRESSIONS, tiff
 
 from unips_jax.errors import InputError
+from unips_jax.io.formats.lzw import begins_soundly
 
 # Samples of a pixel: how many colours, and what other kinds there are.
 SAMPLES = {
@@ -157,3 +159,50 @@ def test_text_of_exif_3_hides_no_picture(tmp_path):
         data = data[: at + 2] + struct.pack("<H", 129) + data[at + 4 :]
         with pytest.raises(InputError, match=f"{tag} .*invalid data type 129"):
             read(tmp_path / "a.tif", data)
+
+
+def packed(codes, late=False):
+    """LZW data of these codes; of the old kind, where the low bits are first."""
+    bits, number, entries = 0, 0, 257
+    for code in codes:
+        grown = entries + (not late)
+        width = 9 + sum(grown >= limit for limit in (512, 1024, 2048))
+        if late:
+            number |= code << bits
+        else:
+            number = number << width | code
+        bits += width
+        entries = 257 if code == 256 else entries + 1
+    size = -(-bits // 8)
+    if late:
+        return number.to_bytes(size, "little")
+    return (number << 8 * size - bits).to_bytes(size, "big")
+
+
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("before", [0, 200, 600, 1500, 3000])
+def test_lzw_that_begins_with_what_is_not_there_is_refused(tmp_path, before, late):
+    """Its decoder would read anywhere in memory; the second table counts, too."""
+    pixels = np.zeros((100, 100, 1), np.uint8)
+    values = np.random.default_rng(0).integers(0, 256, before).tolist()
+    for first, sound in ((65, True), (257, True), (258, False), (511, False)):
+        data = packed([256, *values, 256, 256, first, 65, 66, 257, 256, 300], late)
+        assert begins_soundly(data) == sound
+        if not sound:
+            compressions = {"bad": (5, lambda _, data=data: data)}
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("tiff_writer.COMPRESSIONS", compressions)
+                file = tiff([{"pixels": pixels, "compression": "bad"}])
+            with pytest.raises(InputError, match=r"a\.tif: .*LZW"):
+                read(tmp_path / "a.tif", file)
+
+
+def test_sound_lzw_is_told_by_short_data_too():
+    assert all(
+        begins_soundly(data) for data in (b"", b"\x80", b"\0", b"\0\1", b"\x80\0")
+    )
+    rng = np.random.default_rng(0)
+    for size in (1, 2, 1000, 4000, 30_000):
+        for top in (2, 256):
+            raw = rng.integers(0, top, size, dtype=np.uint8).tobytes()
+            assert begins_soundly(imagecodecs.lzw_encode(raw))

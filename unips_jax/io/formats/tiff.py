@@ -14,9 +14,11 @@ import struct
 import threading
 from typing import Any, BinaryIO
 
+import imagecodecs
 import numpy as np
 import tifffile
 
+from unips_jax.io.formats import lzw
 from unips_jax.io.formats.encoded import TAGS, Damaged, Encoded, NotRead, facts_by
 
 _BIG = (b"II+\0", b"MM\0+")
@@ -26,6 +28,7 @@ PAGES = 64
 _MOST_TAGS = 1 << 16
 
 _COMPRESSIONS = (1, 2, 3, 4, 5, 8, 32773, 32946, 34925, 50000)
+_LZW = 5
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE = range(4)
 _CAMERA = (32803, 34892)  # colour filter array, linear raw
 _FLOAT = 3
@@ -250,8 +253,21 @@ def _has_alpha(page: tifffile.TiffPage, colours: int) -> bool:
     return len(extra) == 1 and extra[0] in _ALPHA
 
 
+def _require_sound(page: tifffile.TiffPage) -> None:
+    file = page.parent.filehandle
+    for place, size in zip(page.dataoffsets, page.databytecounts, strict=False):
+        file.seek(place)
+        data = file.read(size)
+        if page.fillorder == 2:
+            data = bytes(imagecodecs.bitorder_decode(data))
+        if not lzw.begins_soundly(data):
+            raise Damaged("a code of its LZW compression stands for nothing")
+
+
 def _channels_last(page: tifffile.TiffPage) -> np.ndarray:
     height, width = page.imagelength, page.imagewidth
+    if page.compression == _LZW and lzw.TRUSTING:
+        _require_sound(page)
     pixels = page.asarray()
     planar = page.samplesperpixel > 1 and page.planarconfig == 2
     if planar:

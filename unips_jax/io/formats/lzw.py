@@ -1,0 +1,64 @@
+"""Whether LZW data can be given to its decoder (TIFF 6.0, section 13).
+
+imagecodecs before 2026.10, the newest for Python 3.11, trusts the first code after the
+table is cleared. A damaged one names an entry that is not there yet, by which the
+decoder reads anywhere in memory: that can end the process.
+"""
+
+import imagecodecs
+import numpy as np
+
+TRUSTING = tuple(map(int, imagecodecs.__version__.split(".")[:2])) < (2026, 10)
+"""Whether the decoder needs the data to be looked at before."""
+
+_CLEAR, _END = 256, 257
+_TABLE = 5120  # entries, the most that the decoder has
+_FIRST = 258  # entries of a cleared table
+
+
+def _places(widths: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(widths)[:-1]])
+
+
+def _widths(late: bool) -> np.ndarray:
+    """Bits of each code after a table is cleared, until it is full."""
+    grows = np.array([511, 1023, 2047]) + late
+    # The first code adds no entry.
+    entries = _FIRST + np.arange(-1, _TABLE - _FIRST).clip(0)
+    return 9 + np.searchsorted(grows, entries, side="right")
+
+
+# By whether data are of the old kind: low bits first, codes that grow late.
+_LAYOUTS = {late: (_widths(late), _places(_widths(late))) for late in (False, True)}
+
+
+def begins_soundly(data: bytes) -> bool:
+    """Whether a code that every table has follows wherever the table is cleared."""
+    old = len(data) > 1 and data[0] == 0 and data[1] & 1 == 1
+    widths, places = _LAYOUTS[old]
+    values = np.frombuffer(data + b"\0\0", np.uint8)
+    place, end = 9, 8 * len(data)  # the first code clears the table
+    while place + 9 <= end:
+        count = np.searchsorted(place + places + widths, end, side="right")
+        codes = _codes(values, place + places[:count], widths[:count], old)
+        ends = (codes == _CLEAR) | (codes == _END)
+        last = int(ends.argmax()) if ends.any() else len(codes)
+        if last > 0 and codes[0] > _END:
+            return False
+        if last == len(codes) or codes[last] == _END:
+            return True
+        place += int(places[last] + widths[last])
+    return True
+
+
+def _codes(
+    values: np.ndarray, places: np.ndarray, widths: np.ndarray, old: bool
+) -> np.ndarray:
+    """Codes that begin at bits and are so wide; old ones have the low bits first."""
+    byte, bit = places >> 3, places & 7
+    three = [values[byte + i].astype(np.uint32) for i in range(3)]
+    if old:
+        window = three[0] | three[1] << 8 | three[2] << 16
+        return (window >> bit) & ((1 << widths) - 1)
+    window = three[0] << 16 | three[1] << 8 | three[2]
+    return (window >> (24 - bit - widths)) & ((1 << widths) - 1)
