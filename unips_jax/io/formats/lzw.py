@@ -1,8 +1,8 @@
 """Whether LZW data can be given to its decoder (TIFF 6.0, section 13).
 
-imagecodecs before 2026.10, the newest for Python 3.11, trusts the first code after the
-table is cleared. A damaged one names an entry that is not there yet, by which the
-decoder reads anywhere in memory: that can end the process.
+imagecodecs before 2026.10 (there is no newer one for Python 3.11) trusts the first code
+after the table is cleared. A damaged one names an entry that is not there yet, by which
+the decoder reads anywhere in memory: that can end the process.
 """
 
 import imagecodecs
