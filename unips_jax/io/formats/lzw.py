@@ -5,6 +5,8 @@ after the table is cleared. A damaged one names an entry that is not there yet, 
 the decoder reads anywhere in memory: that can end the process.
 """
 
+import functools
+
 import imagecodecs
 import numpy as np
 
@@ -16,26 +18,23 @@ _TABLE = 5120  # entries, the most that the decoder has
 _FIRST = 258  # entries of a cleared table
 
 
-def _places(widths: np.ndarray) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum(widths)[:-1]])
+@functools.cache
+def _layout(old: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Bits of each code after the table is cleared, until it is full; their places.
 
-
-def _widths(late: bool) -> np.ndarray:
-    """Bits of each code after a table is cleared, until it is full."""
-    grows = np.array([511, 1023, 2047]) + late
+    In data of the old kind, whose low bits are first, codes grow late.
+    """
+    grows = np.array([511, 1023, 2047]) + old
     # The first code adds no entry.
     entries = _FIRST + np.arange(-1, _TABLE - _FIRST).clip(0)
-    return 9 + np.searchsorted(grows, entries, side="right")
-
-
-# By whether data are of the old kind: low bits first, codes that grow late.
-_LAYOUTS = {late: (_widths(late), _places(_widths(late))) for late in (False, True)}
+    widths = 9 + np.searchsorted(grows, entries, side="right")
+    return widths, np.cumsum(widths) - widths
 
 
 def begins_soundly(data: bytes) -> bool:
     """Whether a code that every table has follows wherever the table is cleared."""
     old = len(data) > 1 and data[0] == 0 and data[1] & 1 == 1
-    widths, places = _LAYOUTS[old]
+    widths, places = _layout(old)
     values = np.frombuffer(data + b"\0\0", np.uint8)
     place, end = 9, 8 * len(data)  # the first code clears the table
     while place + 9 <= end:
