@@ -32,7 +32,10 @@ def _layout(old: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def begins_soundly(data: bytes) -> bool:
-    """Whether a code that every table has follows wherever the table is cleared."""
+    """Whether a code that every table has follows wherever the table is cleared.
+
+    `data` are the bytes of one strip or tile.
+    """
     old = len(data) > 1 and data[0] == 0 and data[1] & 1 == 1
     widths, places = _layout(old)
     values = np.frombuffer(data + b"\0\0", np.uint8)
@@ -42,7 +45,7 @@ def begins_soundly(data: bytes) -> bool:
         codes = _codes(values, place + places[:count], widths[:count], old)
         ends = (codes == _CLEAR) | (codes == _END)
         last = int(ends.argmax()) if ends.any() else len(codes)
-        if last > 0 and codes[0] > _END:
+        if codes[0] > _END:
             return False
         if last == len(codes) or codes[last] == _END:
             return True

@@ -253,7 +253,7 @@ def _has_alpha(page: tifffile.TiffPage, colours: int) -> bool:
     return len(extra) == 1 and extra[0] in _ALPHA
 
 
-def _require_sound(page: tifffile.TiffPage) -> None:
+def _require_sound_lzw(page: tifffile.TiffPage) -> None:
     file = page.parent.filehandle
     for place, size in zip(page.dataoffsets, page.databytecounts, strict=False):
         file.seek(place)
@@ -267,7 +267,7 @@ def _require_sound(page: tifffile.TiffPage) -> None:
 def _channels_last(page: tifffile.TiffPage) -> np.ndarray:
     height, width = page.imagelength, page.imagewidth
     if page.compression == _LZW and lzw.TRUSTING:
-        _require_sound(page)
+        _require_sound_lzw(page)
     pixels = page.asarray()
     planar = page.samplesperpixel > 1 and page.planarconfig == 2
     if planar:
