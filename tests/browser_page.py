@@ -53,13 +53,49 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
 
 def build_small(work):
-    """The page with a small network: its folder, and the file of its weights."""
+    """The page with small networks: its folder, and the file of its weights."""
     weights = work / "small.safetensors"
     save_weights(weights, lively_network(SHALLOW_OURS), half=True)
     if build([str(work / "out"), "--weights", str(weights)]) != 0:
         assert "CI" not in os.environ
         pytest.skip("npm cannot fetch the page's packages")
+    _find_what_is_bright(work / "out" / "network" / "mask.onnx")
     return work / "out", weights
+
+
+@contextlib.contextmanager
+def finding_objects(page):
+    """With the network that finds objects as it ships, which takes seconds."""
+    shipped = TOOLS.parent / "unips_jax" / "assets" / "salient_object.onnx"
+    network = page / "network" / "mask.onnx"
+    before = network.read_bytes()
+    network.write_bytes(shipped.read_bytes())
+    yield
+    network.write_bytes(before)
+
+
+def _find_what_is_bright(path):
+    """Writes a network: where all channels are dark is no object."""
+    from onnx import TensorProto, helper, save
+
+    graph = helper.make_graph(
+        [
+            helper.make_node("ReduceMax", ["x"], ["bright"], axes=[1], keepdims=1),
+            helper.make_node("Add", ["bright", "at"], ["above"]),
+            helper.make_node("Mul", ["above", "steep"], ["sure"]),
+            helper.make_node("Sigmoid", ["sure"], ["y"]),
+        ],
+        "bright",
+        [helper.make_tensor_value_info("x", TensorProto.FLOAT, [1, 3, 320, 320])],
+        [helper.make_tensor_value_info("y", TensorProto.FLOAT, [1, 1, 320, 320])],
+        [
+            helper.make_tensor("at", TensorProto.FLOAT, [], [1.5]),
+            helper.make_tensor("steep", TensorProto.FLOAT, [], [40]),
+        ],
+    )
+    opset = [helper.make_opsetid("", 13)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    save(model, path)
 
 
 @contextlib.contextmanager

@@ -159,6 +159,7 @@ def test_the_site_builds(tmp_path):
         assert "site/tables.js" in text, page
 
 
+@pytest.mark.slow
 def test_the_successor_of_the_sites_program_builds_it_too(tmp_path):
     """But for the notebook; docs/releasing.md says when it takes over."""
     pytest.importorskip("zensical", reason="zensical is not installed")

@@ -77,9 +77,18 @@ def test_scenes_of_a_seed_are_the_same_by_any_generator():
     np.testing.assert_array_equal(found, expected)
 
 
-def test_every_baseline_runs_with_wide_numbers(flags):
-    others = ["variational:iterations=2", "mpm:frame=integrability", "least-squares"]
-    variants = load_variants(["classical", *others], UnipsOptions(()))
+@pytest.mark.parametrize(
+    "methods",
+    [
+        ["classical", "least-squares"],
+        pytest.param(
+            ["variational:iterations=2", "mpm:frame=integrability"],
+            marks=pytest.mark.slow,  # compiles for seconds
+        ),
+    ],
+)
+def test_every_baseline_runs_with_wide_numbers(methods, flags):
+    variants = load_variants(methods, UnipsOptions(()))
     mask, normals = sphere(24, 24)
     directions = lights(8)
     images = shade(normals, directions).astype(np.float32)

@@ -150,6 +150,7 @@ def test_what_is_outside_the_mask_does_not_matter(outside, grid_loss):
     normals = jnp.where(mask[..., None], jnp.float32([0.6, 0, 0.8]), 0)
     options = losses.LossOptions(num_pixels=20, grid_loss=grid_loss)
 
+    @jax.jit
     def loss(normals):
         objects = losses.Objects(images, mask, normals)
         keys = jax.random.split(jax.random.key(1), 1)

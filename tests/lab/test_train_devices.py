@@ -51,6 +51,7 @@ def altered(config, *, fsdp, **train):
     return dataclasses.replace(config, mesh=mesh, train=train)
 
 
+@pytest.mark.slow
 def test_eight_devices_agree_with_one(single, eight):
     assert_close(final_params(eight), final_params(single[1]))
 
@@ -62,6 +63,7 @@ def test_eight_devices_that_split_nothing_agree_with_one(single, tmp_path):
     assert_close(final_params(tmp_path), final_params(whole))
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_fewer_devices(single, eight, tmp_path):
     """On eight that split the parameters, then two, then one."""
     config, whole = single
@@ -75,11 +77,13 @@ def test_a_run_goes_on_with_fewer_devices(single, eight, tmp_path):
 def test_two_hosts_begin_and_one_goes_on(single, tmp_path):
     """Each has four devices, and finds the other as SLURM tells it.
 
-    The one has a single device, and takes the batch in two parts.
+    They split the parameters. The one has a single device, and takes the batch in two
+    parts.
     """
     config, whole = single
     workdir = tmp_path / "run"
-    for process in start_slurm(tmp_path, workdir, config, "--train.steps", "3"):
+    split = altered(config, fsdp=4)
+    for process in start_slurm(tmp_path, workdir, split, "--train.steps", "3"):
         process.communicate(timeout=600)
         assert process.returncode == 0
     assert [path.name for path in (workdir / "checkpoints").iterdir()] == ["3"]
@@ -161,7 +165,9 @@ def start_slurm(tmp_path, workdir, config, *options):
 RECIPE = """
 from pathlib import Path
 from unips_jax.models.config_json import from_json
-from unips_jax.training import Config
+from unips_jax.training import Config, sharding
+
+sharding._MIN_SPLIT = 8  # else the small network's arrays would not be split at all
 
 def get_config():
     return from_json(Config, Path("config.json").read_text())

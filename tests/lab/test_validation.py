@@ -109,7 +109,18 @@ def test_scores_by_hand(monkeypatch):
     )
 
 
-def test_all_scenes_of_one_kind(tmp_path, capsys):
+def as_asked(_, __, *, count, light_kind, material, shape, **sizes):
+    """In place of scenes that are rendered, which takes long to compile."""
+    assert sizes == {"num_images": 2, "size": 32}
+    return count * [made_up((0, 10), (10, 10), light_kind, shape, material, 0)]
+
+
+@pytest.mark.parametrize(
+    "rendered", [False, pytest.param(True, marks=pytest.mark.slow)]
+)
+def test_all_scenes_of_one_kind(rendered, tmp_path, capsys, monkeypatch):
+    if not rendered:
+        monkeypatch.setattr(validation, "estimate_held_out", as_asked)
     weights = str(tmp_path / "w.safetensors")
     save_weights(weights, lively_network(CONFIG.model))
     sizes = ["--scenes", "3", "--images", "2", "--size", "32"]

@@ -28,6 +28,7 @@ from browser_page import (  # noqa: E402
     build,
     build_small,
     drag,
+    finding_objects,
     mask_of,
     opened,
     overlap,
@@ -219,7 +220,7 @@ def test_mask_viewer_and_reload(small, driver, tmp_path):
     images, truth = photographs(3, **HARD["wood"], count=3)
     for index, image in enumerate(images):
         write_image(tmp_path / f"{index}.png", image)
-    with opened(driver, page):
+    with finding_objects(page), opened(driver, page):
         said = choose(driver, sorted(tmp_path.glob("*.png")))
         assert "the object was found" in said
         found = mask_of(driver, truth.shape)

@@ -22,6 +22,7 @@ from browser_page import (  # noqa: E402
     drag,
     drop,
     drop_and_wait,
+    finding_objects,
     mask_of,
     opened,
     overlap,
@@ -56,6 +57,12 @@ def page(small, driver):
     with opened(driver, small):
         yield driver
         assert not [text for text in messages(driver) if "Error" in text]
+
+
+@pytest.fixture
+def long_search(small):
+    with finding_objects(small):
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +137,7 @@ def test_photographs_dropped_while_others_are_computed_end_that(page, sets, tmp_
     assert page.execute_script("return unips.state.result") is None
 
 
-def test_photographs_dropped_while_an_object_is_looked_for(page, sets):
+def test_photographs_dropped_while_an_object_is_looked_for(page, sets, long_search):
     (first, _), (second, truth) = sets["left"], sets["right"]
     drop(page, first)
     until(page, f"return /looking|found/.test({STATUS})")

@@ -104,7 +104,7 @@ def test_a_background_alone_has_no_object(name):
     assert mask is None and figure < TRUSTED and rule == ""
 
 
-@pytest.mark.parametrize("radius", [8, 14, 22])
+@pytest.mark.parametrize("radius", [8, pytest.param(14, marks=pytest.mark.slow), 22])
 @pytest.mark.parametrize("name", ["strong texture", "vignetted grey"])
 def test_holes_through_which_the_background_shows_are_open(name, radius):
     options = {**PLAIN, **HARD}[name]
@@ -189,8 +189,7 @@ def test_a_click_takes_or_drops_a_piece():
         toggle_piece(mask, picture[1:], (3, 3))
 
 
-QUICK = {(0.08, 0.0, 0.5), (0.08, 0.6, 0.08), (0.08, 0.1, 0.2)}
-QUICK |= {(0.6, 0.0, 0.08), (0.6, 0.6, 0.5), (0.6, 0.1, 0.2)}
+QUICK = {(0.08, 0.6, 0.08), (0.6, 0.0, 0.08), (0.6, 0.1, 0.2)}
 
 
 @pytest.mark.parametrize(

@@ -253,13 +253,14 @@ def test_linear_pooling_cannot_cut_off_the_coarsest_stage(config):
     branch = params["encoder"]["fusion"]["ppm0"]
     branch["bias"] -= 1e3
 
-    def reached(part):
-        def loss(params):
-            return network.apply({"params": params}, *arguments)[..., 0].sum()
+    @jax.jit
+    @jax.grad
+    def slope(params):
+        return network.apply({"params": params}, *arguments)[..., 0].sum()
 
-        gradient = jax.jit(jax.grad(loss))(params)["encoder"]
-        leaves = jax.tree.leaves(part(gradient))
-        return [np.any(leaf) for leaf in leaves]
+    def reached(part):
+        gradient = slope(params)["encoder"]
+        return [np.any(leaf) for leaf in jax.tree.leaves(part(gradient))]
 
     stage = reached(lambda gradient: gradient["stages_1"])
     assert all(stage) if linear else not any(stage)

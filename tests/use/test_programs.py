@@ -207,7 +207,8 @@ def test_a_callers_mesh_is_not_kept(tmp_path):
     """Programs are of one device, in this process and in later ones."""
     said = []
     for devices in (2, 1):
-        flags = f"--xla_force_host_platform_device_count={devices}"
+        flags = os.environ.get("XLA_FLAGS", "")
+        flags += f" --xla_force_host_platform_device_count={devices}"
         path = os.pathsep.join(map(str, (*sys.path, Path(__file__).parents[1])))
         environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": path}
         ran = subprocess.run(
