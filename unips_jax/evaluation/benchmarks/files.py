@@ -8,11 +8,11 @@ expected there.
 import io
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from unips_jax.errors import InputError
+from unips_jax.evaluation.benchmarks.matlab import read_arrays
 from unips_jax.io import normals
 
 _NORMAL_NAMES = ("Normal_est", "normals", "normal", "Normal", "N")
@@ -86,10 +86,7 @@ def read_mat_normals(path: Path) -> np.ndarray:
     content = {
         key: value
         for key, value in _variables(path).items()
-        if isinstance(value, np.ndarray)
-        and value.ndim == 3
-        and value.shape[2] == 3
-        and value.dtype.kind in "fiu"
+        if value.ndim == 3 and value.shape[2] == 3 and value.dtype.kind in "fiu"
     }
     named = [key for key in _NORMAL_NAMES if key in content] or list(content)
     if not named or (len(named) > 1 and named[0] not in _NORMAL_NAMES):
@@ -109,18 +106,16 @@ def read_array_normals(path: Path) -> np.ndarray:
     return values
 
 
-def _variables(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    if read_bytes(path).startswith(b"MATLAB 7.3"):
+def _variables(path: Path) -> dict[str, np.ndarray]:
+    data = read_bytes(path)
+    if data.startswith(b"MATLAB 7.3"):
         raise InputError(f"{path}: saved by MATLAB as -v7.3; save it again with -v7")
     try:
-        content = loadmat(path)
+        return read_arrays(data)
     except Exception as error:  # scipy raises what its parser stumbles on
         raise InputError(
             f"{path}: not a readable MATLAB file ({type(error).__name__}: {error})"
         ) from error
-    return {key: v for key, v in content.items() if not key.startswith("__")}
 
 
 def read_npz(path: Path, key: str) -> np.ndarray:
