@@ -1,5 +1,6 @@
 """The benchmark of one's own folders, which reads as `unips estimate` does."""
 
+import json
 import struct
 
 import cv2
@@ -39,6 +40,42 @@ def test_reads_what_was_stored(tmp_path, mask):
     np.testing.assert_array_equal(item.mask, expected)
     single = open_benchmark("folder", tmp_path / "shoe")
     assert len(single) == 1 and single[0].images.shape[1:3] == (20, 21)
+
+
+def test_lights_are_those_of_a_list(tmp_path):
+    """By name, in any order; names may have another format."""
+    root = data.make_folder(tmp_path / "sets")
+    directions = data.lights(5, seed=0)
+    lines = [
+        f"img_{i + 8}.jpg {x} {y} {z}" for i, (x, y, z) in enumerate(3 * directions)
+    ]
+    path = root / "cup" / "dome.LP"
+    path.write_text("\n".join(["5", *lines[::-1]]))
+    cup, shoe = open_benchmark("folder", root)
+    np.testing.assert_allclose(cup.lights.directions, directions, atol=1e-6)
+    assert (cup.lights.intensities == 1).all() and shoe.lights is None
+    given = ["--benchmark", "folder", "--root", str(root), "--workdir"]
+    given += [str(tmp_path / "work"), "--objects", "cup", "--no-pictures"]
+    assert cli.main(["eval", *given, "-m", "least-squares"]) == 0
+    (result,) = (tmp_path / "work").rglob("cup/least-squares*.json")
+    assert json.loads(result.read_text())["score"]["median"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("listed", "said"),
+    [
+        ("IMG_8.PNG 5 7\nIMG_9.PNG 6 7", "expected directions, three numbers"),
+        ("a.png 0 0 1\nb.png 0 0 1", "has none of IMG_8.PNG"),
+        ("IMG_8 0 0 1\nIMG_9 0 0 0", "got one of length 0"),
+    ],
+)
+def test_a_list_that_gives_no_lights_is_named(tmp_path, listed, said):
+    root = data.make_folder(tmp_path)
+    (root / "cup" / "a.lp").write_text(listed)
+    cup = open_benchmark("folder", root)[0]
+    assert cup.lights is None
+    (note,) = (note for note in cup.notes if "lights not known: a.lp" in note)
+    assert said in note
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".mat"])

@@ -5,18 +5,26 @@ from pathlib import Path
 
 import numpy as np
 
+from unips_jax.baselines.method import Lights
 from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files
-from unips_jax.evaluation.benchmarks.base import Benchmark, Entry, Truth
+from unips_jax.evaluation.benchmarks.base import (
+    Benchmark,
+    Entry,
+    Truth,
+    distant_lights,
+)
 from unips_jax.io.color import as_linear
 from unips_jax.io.images import ImageFile, decode_image, read_image_file
 from unips_jax.io.masks import read_mask
-from unips_jax.io.naming import natural_key
+from unips_jax.io.naming import natural_key, plain_name
 from unips_jax.io.normals import normals_of, true_pixels
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.selection import SUFFIXES, Selection, folder_name, select
+from unips_jax.lighting.rig import read_directions
 
 _ARRAYS = (".npy", ".mat")
+_LIGHTS = ".lp"
 _TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
 
 
@@ -32,7 +40,8 @@ class Folder(Benchmark):
     and read as by `unips estimate` (see `io.photographs`), those of 8 bits taken as
     sRGB (store linear ones in 16). An object's photographs are read whole by the check
     too. The focal length is taken from the first photograph's EXIF data, where it
-    carries one.
+    carries one, the lights from a list `*.lp` that has a direction for each photograph,
+    by name: distant and equally strong.
     """
 
     name = "folder"
@@ -61,22 +70,27 @@ class Folder(Benchmark):
         assert truth is not None  # `find` looked
         selection = select(folder)
         masks = [selection.mask_file] if selection.mask_file else []
+        inside = sorted(path for path in folder.iterdir() if path.is_file())
+        lists = [path for path in inside if path.suffix.lower() == _LIGHTS]
         name = folder_name(folder)
-        return Entry(name, selection.files, (truth, *masks), {"object": name})
+        return Entry(name, selection.files, (truth, *masks, *lists), {"object": name})
 
     def truth(self, entry: Entry) -> Truth:
-        """Reads the true normals and the mask."""
+        """Reads the true normals, the mask and the lights."""
         normals = _true_normals(entry.files[0])
-        if len(entry.files) > 1:
-            mask = read_mask(entry.files[1])
+        others = entry.files[1:]
+        lists = [path for path in others if path.suffix.lower() == _LIGHTS]
+        lights, notes = _lights(lists, entry.images)
+        if len(others) > len(lists):
+            mask = read_mask(others[0])
             if mask.shape != normals.shape[:2]:
                 raise InputError(
-                    f"{entry.files[1]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
+                    f"{others[0]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
                     f"{entry.files[0].name} has {normals.shape[1]} x {normals.shape[0]}"
                 )
         else:
             mask = true_pixels(normals)
-        return Truth(mask, normals)
+        return Truth(mask, normals, lights, notes=notes)
 
     def photographs(
         self, entry: Entry, mask: np.ndarray
@@ -121,6 +135,29 @@ def _read(entry: Entry, mask: np.ndarray, read: Callable[[Path], ImageFile]) -> 
 
     selection = Selection(entry.images[0].parent, entry.images, {}, None)
     return read_capture(selection, read=read_fitting, mask=mask)
+
+
+def _lights(
+    lists: list[Path], photographs: tuple[Path, ...]
+) -> tuple[Lights | None, tuple[str, ...]]:
+    """The lights of the first list that has all, and what is to be said of lists."""
+    notes = []
+    for path in lists:
+        try:
+            names, directions = read_directions(path, path.name)
+        except InputError as error:
+            notes.append(f"lights not known: {error}")
+            continue
+        rows = {plain_name(name): row for row, name in enumerate(names)}
+        wanted = [plain_name(photograph.name) for photograph in photographs]
+        missing = [
+            p.name for p, w in zip(photographs, wanted, strict=True) if w not in rows
+        ]
+        if not missing:
+            found = directions[[rows[name] for name in wanted]]
+            return distant_lights(found, None, path), (f"lights of {path.name}",)
+        notes.append(f"lights not known: {path.name} has none of {missing[0]}")
+    return None, tuple(notes)
 
 
 def _true_normals(path: Path) -> np.ndarray:
