@@ -1,4 +1,4 @@
-r"""The shipped weights, made better at one thing: one hour on two CPU cores.
+r"""The shipped weights, made better at one thing: 50 minutes on two CPU cores.
 
     unips train --config finetune --init-weights tiny --workdir runs/metal
 

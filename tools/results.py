@@ -68,7 +68,8 @@ HEAD = """# Results
 Written by `python tools/results.py` from the files in `docs/results`, not by hand.
 Mean angular errors in degrees over an object's pixels, then over objects: lower is
 better. A constant normal towards the viewer is the floor; a result near it means
-that something is broken.
+that something is broken. `shared` are photographs that are not published with this
+project; `shared/diligent_dev` has every third photograph of four objects of DiLiGenT.
 """
 SECONDS = """
 ## Seconds
