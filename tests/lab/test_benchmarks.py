@@ -139,6 +139,8 @@ def test_diligent_mv_misses_a_view(tmp_path):
     (tmp_path / "mvpmsData/cowPNG/view_13").rename(tmp_path / "gone")
     with pytest.raises(InputError, match="view_13"):
         open_benchmark("diligent-mv", tmp_path, objects=("cow",))
+    (entry,) = open_benchmark("diligent-mv", tmp_path, objects=("cow/view_02",)).entries
+    assert entry.name == "cow/view_02"
 
 
 def test_diligent102_withholds_the_truth(tmp_path):

@@ -1,6 +1,7 @@
 """The benchmark of one's own folders, which reads as `unips estimate` does."""
 
 import json
+import os
 import struct
 
 import cv2
@@ -89,14 +90,56 @@ def test_truth_may_be_an_array(tmp_path, suffix):
     np.testing.assert_array_equal(item.mask, mask)
     np.testing.assert_allclose(item.normals, normals, atol=1e-6)
     data.write_image(tmp_path / "cup" / "normals.png", data.to16((normals + 1) / 2))
-    assert open_benchmark("folder", tmp_path).entries[0].files[0].suffix == ".png"
-    (tmp_path / "cup" / "normals.png").unlink()
+    (entry,) = open_benchmark("folder", tmp_path).entries
+    assert entry.files[0] == path
+    assert entry.notes == (f"true normals of {path.name}, not normals.png",)
     path.unlink()
     np.save(tmp_path / "cup" / "normal.npy", np.where(mask[..., None], normals, np.nan))
+    assert open_benchmark("folder", tmp_path).entries[0].files[0].suffix == ".png"
+    (tmp_path / "cup" / "normals.png").unlink()
     np.testing.assert_array_equal(open_benchmark("folder", tmp_path)[0].mask, mask)
     np.save(tmp_path / "cup" / "normal.npy", normals[..., 0])
     with pytest.raises(InputError, match=r"expected normals \[H, W, 3\], got \(9, 11"):
         open_benchmark("folder", tmp_path)[0]
+
+
+def test_truth_of_another_encoding_is_refused(tmp_path):
+    data.make_folder(tmp_path)
+    _, normals = data.sphere(20, 20)
+    np.save(tmp_path / "cup" / "normal_gt.npy", (normals + 1) / 2)
+    with pytest.raises(InputError, match="cup: expected true normals of length 1, got"):
+        open_benchmark("folder", tmp_path)[0]
+
+
+def test_floats_above_1_are_divided(tmp_path):
+    """`woodham` clips at 1."""
+    root = data.make_folder(tmp_path / "sets")
+    _, normals = data.sphere(20, 20)
+    directions = data.lights(5, seed=0)
+    for i, image in enumerate(data.shade(normals, directions)):
+        (root / "cup" / f"IMG_{i + 8}.PNG").unlink()
+        cv2.imwrite(str(root / "cup" / f"{i}.tif"), np.float32(20 * image))
+    lines = [f"{i}.tif {x} {y} {z}" for i, (x, y, z) in enumerate(directions)]
+    (root / "cup" / "dome.lp").write_text("\n".join(lines))
+    item = open_benchmark("folder", root, objects=["cup"])[0]
+    assert item.images.max() == 1
+    assert any("photographs divided by" in note for note in item.notes)
+
+
+@pytest.mark.parametrize("benchmark", ["folder", "ps-wild"])
+def test_names_that_are_not_unicode(tmp_path, benchmark):
+    folder = tmp_path / "sets" / "plain.data"
+    _, normals = data.sphere(20, 20)
+    for i, image in enumerate(data.shade(normals, data.lights(3, seed=0))):
+        data.write_image(folder / f"L_{i}.png", data.to16(image))
+    data.write_image(folder / "normal.tif", data.encode16(normals))
+    (folder / "L_2.png").rename(folder / os.fsdecode(b"L_\xe9.png"))
+    folder.rename(folder.with_name(os.fsdecode(b"caf\xe9.data")))
+    given = ["--benchmark", benchmark, "--root", str(tmp_path / "sets"), "--workdir"]
+    given += [str(tmp_path / "work"), "-m", "constant", "--no-pictures"]
+    assert cli.main(["eval", *given]) == 0
+    table = (tmp_path / "work" / "tables" / "figures.csv").read_text()
+    assert "caf\N{REPLACEMENT CHARACTER}" in table
 
 
 def test_takes_the_focal_length_from_exif(tmp_path):

@@ -141,6 +141,19 @@ def test_a_change_anywhere_in_a_package_is_seen(tmp_path):
         assert foreign.sources_hash(file) in hashes
 
 
+def test_a_change_of_an_imported_neighbour_is_seen(module):
+    helper = module.with_name("my_helper.py")
+    helper.write_text("")
+    module.write_text("import my_helper" + MODULE)
+    key = load_variants(["python:my_methods:leaning"], NO_WEIGHTS)[0].key
+    helper.write_text("# changed")
+    module.with_name("other.py").write_text("# never imported")
+    changed = load_variants(["python:my_methods:leaning"], NO_WEIGHTS)[0].key
+    sys.modules.pop("my_helper")
+    assert key["method_code"] != changed["method_code"]
+    assert foreign.sources_hash(module) != changed["method_code"]  # not imported now
+
+
 def test_a_package_brings_a_method(module, monkeypatch):
     known = {"leaning": "my_methods:leaning"}
     monkeypatch.setattr("unips_jax.evaluation.methods.installed", lambda: known)

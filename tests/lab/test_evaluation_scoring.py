@@ -343,6 +343,9 @@ def test_unips_variants_get_their_own_settings(tmp_path, monkeypatch):
     }
     keys = {json.dumps(variant.key, sort_keys=True) for variant in variants}
     assert len(keys) == 5
+    for sizes, label in (((48,), "unips canonical 48"), ((32,), "unips")):
+        options = UnipsOptions([str(weights)], sizes)
+        assert load_variants(["unips"], options)[0].label == label
     monkeypatch.setattr(streaming, "estimate_photographs", lambda *_, fast, **__: fast)
     fast, plain, _ = load_variants(
         ["unips:fast=true", "unips"], UnipsOptions([str(weights)])

@@ -200,6 +200,25 @@ def test_figures_are_compared_on_the_seeds_that_both_have():
     assert (pair.mean, pair.other, pair.lower) == (10, 11, 1)
 
 
+def test_an_objects_seeds_weigh_as_one():
+    """Objects whose images are no more than were asked for have no seeds."""
+    rows = [("a", "x", 0, 1.0), ("a", "x", 1, 3.0), ("a", "y", -1, 8.0)]
+    rows += [("b", "x", 0, 2.0), ("b", "x", 1, 2.0), ("b", "y", -1, 6.0)]
+    made = [("mine", o, "sun", "", m, 4, s, "mae_deg", e) for m, o, s, e in rows]
+    found = figures.Figures(*map(np.array, zip(*made, strict=True)))
+    pair = found.compare("a", "b")
+    assert (pair.objects, pair.mean, pair.other) == (2, 5, 4)
+
+
+def test_a_number_that_is_all_images_has_one_row(tmp_path):
+    root = data.make_folder(tmp_path / "sets")
+    named = ["--benchmark", "folder", "--root", str(root), "--workdir", str(tmp_path)]
+    chosen = ["-m", "constant", "--num-images", "5", "all", "--no-pictures"]
+    assert evaluation.main([*named, *chosen]) == 0
+    errors = unips_jax.load_results(tmp_path).pick(measure="mae_deg")
+    assert sorted(errors.object) == ["cup", "shoe"]
+
+
 def test_seeds_that_draw_the_same_are_computed_once(work):
     drawn = {tuple(choose_images(3, 4, seed=seed)) for seed in (0, 1, 2)}
     assert len(drawn) == 2  # of three of four images, two seeds drew the same

@@ -12,6 +12,7 @@ from some of its images. Reading needs no JAX.
 import csv
 import dataclasses
 import os
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,11 +75,12 @@ class Figures:
         `wanted` is as in `pick`. Over what is left of an object, such as seeds, the
         mean of what both have is taken. `ValueError` if they share nothing.
         """
-        errors = [
-            self.pick(method=name, measure=measure, **wanted)._by_object()
+        both = [
+            self.pick(method=name, measure=measure, **wanted)._by_place()
             for name in (first, second)
         ]
-        pair = compare(*errors)
+        shared = both[0].keys() & both[1].keys()
+        pair = compare(*(_by_object(values, shared) for values in both))
         if pair is None:
             known = ", ".join(dict.fromkeys(self.method))
             raise ValueError(
@@ -86,23 +88,32 @@ class Figures:
             )
         return pair
 
-    def _by_object(self) -> dict[str, dict[str, float]]:
-        found: dict[str, dict[str, list[float]]] = {}
-        columns = (self.lighting, self.view, self.images, self.seed)
-        places = zip(*columns, strict=True)
-        for name, place, value in zip(self.object, places, self.value, strict=True):
-            entry = " ".join(map(str, place))
-            found.setdefault(str(name), {}).setdefault(entry, []).append(float(value))
-        return {
-            name: {entry: sum(own) / len(own) for entry, own in entries.items()}
-            for name, entries in found.items()
-        }
+    def _by_place(self) -> dict[tuple[str, str, int], float]:
+        """Values by object, entry (what of it was shown) and seed."""
+        shown = zip(self.lighting, self.view, self.images, strict=True)
+        entries = [" ".join(map(str, one)) for one in shown]
+        places = zip(self.object, entries, self.seed, strict=True)
+        return dict(zip(places, self.value, strict=True))
 
     def frame(self) -> "pandas.DataFrame":
         """The rows as a data frame of pandas, which must be installed."""
         import pandas
 
         return pandas.DataFrame(dataclasses.asdict(self))
+
+
+def _by_object(
+    values: Mapping[tuple[str, str, int], float], shared: Collection[Any]
+) -> dict[str, dict[str, float]]:
+    """Means over the seeds that both have, by object and entry."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for name, entry, seed in sorted(shared):
+        own = found.setdefault(str(name), {}).setdefault(entry, [])
+        own.append(float(values[name, entry, seed]))
+    return {
+        name: {entry: sum(own) / len(own) for entry, own in entries.items()}
+        for name, entries in found.items()
+    }
 
 
 def load_results(workdir: str | os.PathLike[str]) -> Figures:

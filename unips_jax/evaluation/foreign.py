@@ -14,7 +14,7 @@ import hashlib
 import importlib
 import importlib.metadata
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -110,13 +110,26 @@ def _factory(
 
 
 def sources_hash(file: Path | None) -> str:
-    """A hash of a module's source, and of its whole package's where it is in one."""
+    """A hash of a module's source, and of its whole package's where it is in one.
+
+    Outside a package the modules beside it count that are imported.
+    """
     digest = hashlib.blake2b(digest_size=8)
     if file is not None:
         top = file  # or the outermost package around it
         while (top.parent / "__init__.py").is_file():
             top = top.parent
-        for path in sorted(top.rglob("*.py")) if top.is_dir() else [file]:
+        sources = top.rglob("*.py") if top.is_dir() else {file, *_imported_beside(file)}
+        for path in sorted(sources):
             digest.update(path.relative_to(top.parent).as_posix().encode() + b"\0")
             digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def _imported_beside(file: Path) -> Iterator[Path]:
+    if file.parent.name in ("site-packages", "dist-packages"):
+        return
+    for module in list(sys.modules.values()):
+        path = Path(getattr(module, "__file__", None) or "")
+        if path.parent == file.parent and path.suffix == ".py":
+            yield path

@@ -201,7 +201,8 @@ def _unips_variants(
                 sized = dataclasses.replace(config, canonical_size=size)
             except ValueError as error:
                 raise InputError(f"--canonical-size: {error}") from error
-            label = base if len(sizes) == 1 else f"{base} canonical {size}"
+            own = sizes == [config.canonical_size]
+            label = base if own else f"{base} canonical {size}"
             for uniform in (False, True)[: 1 + unips.uniform_contexts]:
                 options = {"canonical_size": size, "uniform_contexts": uniform}
                 options |= asked

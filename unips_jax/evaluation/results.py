@@ -129,18 +129,21 @@ def number(count: int | None) -> Value:
 
 
 def complete(results: Results, tags: Mapping[str, str]) -> set[str]:
-    """The methods that have scores of the most entries with these tags."""
+    """The methods that have scores of the most entries with these tags, all the same.
+
+    Of those that have as many of others, the ones that are alike to the first.
+    """
     # Means over different objects do not compare.
     scored = {
-        label: sum(
-            tags.items() <= result.tags.items()
+        label: {
+            result.entry
             for result in results.of(label, results.main_count)
-            if result.score
-        )
+            if result.score and tags.items() <= result.tags.items()
+        }
         for label in results.labels
     }
-    most = max(scored.values())
-    return {label for label, count in scored.items() if count == most}
+    most = max(scored.values(), key=len)
+    return {label for label, entries in scored.items() if entries == most}
 
 
 def common(results: Results) -> dict[str, list[Score]]:

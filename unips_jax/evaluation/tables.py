@@ -95,7 +95,9 @@ def figures_csv(results: Results) -> bytes:
         for name, value in _numbers(result):
             head = [results.benchmark, *tags, result.label]
             rows.append([*head, result.images, seed, name, value])
-    return csv_text(COLUMNS, rows).encode()
+    # All of an object's images may be as many as another number asked for.
+    once = {tuple(row[:-1]): row for row in rows}
+    return csv_text(COLUMNS, once.values()).encode()
 
 
 def _numbers(result: Result) -> Iterator[tuple[str, float]]:

@@ -158,12 +158,17 @@ def drawn(selection: Selection, count: int, seed: int = 0) -> Selection:
     )
 
 
+def unicode_name(name: str) -> str:
+    """A name whose bytes are not Unicode with question marks in their place."""
+    return os.fsencode(name).decode(errors="replace")
+
+
 def folder_name(folder: Path) -> str:
     """A folder's name as given, without ".data", or a file's, without its suffix.
 
     Links are not followed; bytes that are not Unicode are replaced by question marks.
     """
-    name = os.fsencode(os.path.abspath(folder)).decode(errors="replace")  # noqa: PTH100
+    name = unicode_name(os.path.abspath(folder))  # noqa: PTH100
     if folder.is_file():
         return Path(name).stem
     return Path(name).name.removesuffix(".data")

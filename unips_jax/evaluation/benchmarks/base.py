@@ -198,7 +198,8 @@ class Benchmark(abc.ABC):
 
     def _digest(self, digest: "hashlib.blake2b", path: Path, data: bytes) -> None:
         name = Path(os.path.relpath(path, self.root)).as_posix()
-        digest.update(f"{name}\0{len(data)}\0".encode())
+        head = f"{name}\0{len(data)}\0"
+        digest.update(head.encode(errors="surrogateescape"))
         digest.update(data)
 
     def _check_image(
@@ -238,6 +239,12 @@ class Benchmark(abc.ABC):
         zero = int((truth.mask & ~known).sum())
         if zero == len(inside):
             raise InputError(f"{where}: all true normals are zero")
+        length = float(np.median(np.linalg.norm(normals[known], axis=-1)))
+        if not 0.9 <= length <= 1.1:
+            raise InputError(
+                f"{where}: expected true normals of length 1, got {length:.2f} (the "
+                "median); floats hold n, integers (n + 1) / 2"
+            )
         if zero:
             notes.append(f"{zero} true normals of zero length count as 90 degrees")
         if inside[:, 2].mean() < 0:

@@ -104,6 +104,8 @@ class DiligentMV(Benchmark):
                 root / f"{name}PNG", f"DiLiGenT-MV's object {name}"
             )
             for view in range(1, _MV_VIEWS + 1):
+                if objects and not {name, f"{name}/view_{view:02d}"} & set(objects):
+                    continue
                 path = files.require_folder(
                     folder / f"view_{view:02d}", f"view {view} of {_MV_VIEWS}"
                 )

@@ -25,7 +25,13 @@ from unips_jax.lighting.rig import read_directions
 
 _ARRAYS = (".npy", ".mat")
 _LIGHTS = ".lp"
-_TRUTH_STEMS = ("normal", "normals", "normal_gt", "gt_normal")
+# Of several the first is the truth: others may be estimates, or pictures of it.
+_TRUTHS = (
+    (("normal_gt", "gt_normal"), _ARRAYS),
+    (("normal_gt", "gt_normal"), SUFFIXES),
+    (("normal", "normals"), SUFFIXES),
+    (("normal", "normals"), _ARRAYS),
+)
 
 
 class Folder(Benchmark):
@@ -49,11 +55,11 @@ class Folder(Benchmark):
 
     def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
         """Yields the root itself if it has a normal map, else the folders in it."""
-        if _truth_file(self.root) is not None:
+        if _truth_files(self.root):
             yield self._entry(self.root)
             return
         folders = sorted(
-            (p for p in self.root.iterdir() if p.is_dir() and _truth_file(p)),
+            (p for p in self.root.iterdir() if p.is_dir() and _truth_files(p)),
             key=lambda p: natural_key(p.name),
         )
         if not folders:
@@ -66,14 +72,15 @@ class Folder(Benchmark):
                 yield self._entry(folder)
 
     def _entry(self, folder: Path) -> Entry:
-        truth = _truth_file(folder)
-        assert truth is not None  # `find` looked
+        truth, *others = _truth_files(folder)  # `find` looked
+        notes = [f"true normals of {truth.name}, not {p.name}" for p in others]
         selection = select(folder)
         masks = [selection.mask_file] if selection.mask_file else []
         inside = sorted(path for path in folder.iterdir() if path.is_file())
         lists = [path for path in inside if path.suffix.lower() == _LIGHTS]
         name = folder_name(folder)
-        return Entry(name, selection.files, (truth, *masks, *lists), {"object": name})
+        read = (truth, *masks, *lists)
+        return Entry(name, selection.files, read, {"object": name}, tuple(notes))
 
     def truth(self, entry: Entry) -> Truth:
         """Reads the true normals, the mask and the lights."""
@@ -98,7 +105,12 @@ class Folder(Benchmark):
         """Reads the photographs as `unips estimate` does, and makes them linear."""
         read = _read(entry, mask, read_image_file)
         if read.transfer == "linear":
-            return read.images, read.focal, ()
+            # Methods that clip take a value of 1 for the brightest.
+            top = float(read.images[:, mask].max())
+            if read.images.dtype.kind != "f" or top <= 1:
+                return read.images, read.focal, ()
+            note = f"photographs divided by {top:g}, their largest value"
+            return read.images / np.float32(top), read.focal, (note,)
         linear = np.empty(read.images.shape, np.float32)
         for place, image in zip(linear, read.images, strict=True):
             place[...] = as_linear(image, "srgb")
@@ -169,11 +181,12 @@ def _true_normals(path: Path) -> np.ndarray:
     return np.where(there, values, 0).astype(np.float32)
 
 
-def _truth_file(folder: Path) -> Path | None:
-    """The truth of a folder; a picture, where there are arrays beside it."""
-    named = sorted(p for p in folder.iterdir() if p.stem.lower() in _TRUTH_STEMS)
-    for suffixes in (SUFFIXES, _ARRAYS):
-        for path in named:
-            if path.suffix.lower() in suffixes:
-                return path
-    return None
+def _truth_files(folder: Path) -> list[Path]:
+    """What may be the truth of a folder, the first of `_TRUTHS` first."""
+    inside = sorted(folder.iterdir())
+    return [
+        path
+        for stems, suffixes in _TRUTHS
+        for path in inside
+        if path.stem.lower() in stems and path.suffix.lower() in suffixes
+    ]

@@ -31,6 +31,7 @@ from unips_jax.io.ps_wild import (
     photographs_of,
     read_meta,
 )
+from unips_jax.io.selection import folder_name, unicode_name
 
 _SPELLED = {
     "directional": "directional dir directional_light",
@@ -75,8 +76,9 @@ class PSWildTest(Benchmark):
 
     def _named(self, folder: Path) -> tuple[str, str]:
         """The names of the object and of its entry."""
-        name = folder.name.removesuffix(".data")
-        return name, (folder.parent.relative_to(self.root) / name).as_posix()
+        name = folder_name(folder)
+        parent = folder.parent.relative_to(self.root).as_posix()
+        return name, (Path(unicode_name(parent)) / name).as_posix()
 
     def _entry(self, folder: Path, position: int, count: int) -> Entry:
         photographs = tuple(photographs_of(folder, self.prefix))
@@ -128,7 +130,7 @@ def _path_key(path: Path) -> tuple[Any, ...]:
 
 def _lighting(folder: Path) -> str:
     name = folder.name.lower().replace("-", "_").replace("+", "_").replace(" ", "_")
-    return _LIGHTINGS.get(name, folder.name)
+    return _LIGHTINGS.get(name, unicode_name(folder.name))
 
 
 @functools.cache
