@@ -32,3 +32,20 @@ def test_noise_is_each_photographs_own():
     values = np.asarray(images).reshape(9, -1)
     assert values.std(axis=1).min() > 5e-5
     assert np.abs(np.corrcoef(values) - np.eye(9)).max() < 0.2
+
+
+def test_photographs_of_8_bits_are_made_linear_as_in_use():
+    """Those of sRGB wholly, those of other curves in part, those of 16 bits not."""
+    curved = SceneConfig(
+        linear_rate=0, noise_rate=0, blur_rate=0, mask_error_rate=0, spare_rate=1
+    )
+    radiance = jnp.linspace(0.05, 1, 32 * 32).reshape(1, 1, 32, 32)
+    radiance = radiance * jnp.ones((1, 3, 1, 1))
+    mask = jnp.ones((32, 32), bool)
+    keys = jax.random.split(jax.random.key(0), 200)
+    take = jax.jit(jax.vmap(lambda key: sensor.record(key, radiance, mask, curved)))
+    images, _, gain = take(keys)
+    linear = np.clip(radiance * np.asarray(gain)[..., None, None], 0, 1)
+    away = np.abs(np.asarray(images) - linear).mean(axis=(1, 2, 3, 4))
+    assert 0.2 < np.mean(away < 0.004) < 0.45  # two fifths of four fifths
+    assert np.median(away) < 0.06 < 0.1 < np.max(away)

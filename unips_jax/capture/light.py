@@ -12,6 +12,7 @@ import numpy as np
 
 from unips_jax.capture.findings import Finding
 from unips_jax.io.color import Transfer, as_linear
+from unips_jax.io.masks import mask_box
 
 _SIDE = 160  # pixels of the longer side of the mask's box
 _TOUCHING = 0.25  # of the outline along the image's border: no outline of an object
@@ -53,6 +54,10 @@ def rough_lights(
     outline = mask.sum() - cv2.erode(mask.astype(np.uint8), np.ones((3, 3))).sum()
     if touching > _TOUCHING * max(outline, 1):
         return None
+    if not mask.any():
+        return None
+    box = mask_box(mask, 1)
+    images, mask = images[:, *box], mask[box]
     scale = min(1.0, _SIDE / max(mask.shape))
     small = _reduced(mask.astype(np.float32), scale) > 0.99
     if small.sum() < 100:
@@ -161,7 +166,8 @@ def _side(index: int) -> str:
 
 
 def _reduced(image: np.ndarray, scale: float) -> np.ndarray:
-    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    height, width = (max(round(scale * side), 1) for side in image.shape[:2])
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _round_solid(mask: np.ndarray) -> np.ndarray:

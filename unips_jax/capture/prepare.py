@@ -76,8 +76,9 @@ def without_ambient(capture: Capture, dark: ImageFile, names: Sequence[str]) -> 
                 f"{dark.path}: expected less light than in {names[index]}, got more "
                 "everywhere; give the frame that was taken without the lamp"
             )
+        if capture.transfer == "srgb":
+            light = srgb_encode(light)
         if wide is np.uint16:
-            light = srgb_encode(light) if capture.transfer == "srgb" else light
             light = np.rint(np.clip(light, 0, 1) * 65535)
         result[index] = light
     return dataclasses.replace(capture, images=result)

@@ -18,7 +18,7 @@ from unips_jax.io.color import CURVES, encoding_of, srgb_encode
 from unips_jax.io.door import new_file, write_whole
 from unips_jax.io.formats.encoded import NotRead, box_transfer_code, known_code
 from unips_jax.io.formats.raster import marked_srgb
-from unips_jax.io.formats.tiff import count_pages, open_page
+from unips_jax.io.formats.tiff import count_pages, open_page, whole_pages
 from unips_jax.io.images import MAX_PIXELS, encode_image
 from unips_jax.io.naming import VIDEO_SUFFIXES
 from unips_jax.io.results import clear_leftovers, workspace
@@ -43,7 +43,7 @@ _MATROSKA_COLOURS = re.compile(rb"\x55\xb0.{1,60}?\x55\xba\x81(.)", re.DOTALL)
 _THUMB = 48  # pixels of the longer side
 _SHARP = 0.8  # of the sharpest of neighbours
 _NEIGHBOURS = 2
-_ICC, _ORIENTATION, _REDUCED, _YCBCR = 34675, 274, 1 | 4, 6
+_ICC, _ORIENTATION, _YCBCR = 34675, 274, 6
 
 
 def is_container(path: Path) -> bool:
@@ -115,14 +115,16 @@ def _unpack_pages(path: Path, folder: Path, max_pixels: int) -> None:
 def _pages(
     tiff: tifffile.TiffFile, path: Path, max_pixels: int
 ) -> Iterator[tuple[np.ndarray, bytes | None, int]]:
-    pages = [
-        page
-        for page in tiff.pages
-        if isinstance(page, tifffile.TiffPage) and not int(page.subfiletype) & _REDUCED
-    ]
-    stack = None
-    images = (tiff.imagej_metadata or {}).get("images", 1)  # its stacks may be one page
-    if len(pages) == 1 and int(images) > 1:
+    pages = whole_pages(tiff)
+    stack, facts = None, tiff.imagej_metadata or {}
+    images, channels = (int(facts.get(name, 1)) for name in ("images", "channels"))
+    if channels in (2, 3) and images > channels and pages[0].samplesperpixel == 1:
+        raise InputError(
+            f"{path}: expected photographs as pages, got {channels} colours of each as "
+            "pages of their own; save each photograph as an RGB file"
+        )
+    # ImageJ's stacks may be one page.
+    if len(pages) == 1 and images > 1:
         _check_size(path, pages[0].imagelength, pages[0].imagewidth, max_pixels)
         stack = tiff.series[0].asarray()
     count = len(pages) if stack is None else len(stack)
@@ -256,7 +258,7 @@ def choose_frames(seen: list[_Seen], count: int) -> list[int]:
 
 
 def _look_through(path: Path, max_pixels: int) -> list[_Seen]:
-    capture = cv2.VideoCapture(str(path))
+    capture = _opened(path)
     total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     capture.release()
     step = max(1, total // _LOOKED_AT)
@@ -274,6 +276,18 @@ def _look_through(path: Path, max_pixels: int) -> list[_Seen]:
     return seen
 
 
+def _opened(path: Path) -> cv2.VideoCapture:
+    # A relative "a:b" would name a protocol.
+    whole = os.path.abspath(path)  # noqa: PTH100
+    try:
+        whole.encode()
+    except UnicodeEncodeError:  # which ends OpenCV's process
+        raise InputError(
+            f"{path}: expected a path in UTF-8 for a video, got other bytes; rename it"
+        ) from None
+    return cv2.VideoCapture(whole)
+
+
 def _reduced(grey: np.ndarray, scale: float) -> np.ndarray:
     return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
@@ -282,7 +296,7 @@ def _frames(
     path: Path, max_pixels: int, step: int = 1
 ) -> Iterator[tuple[int, float, np.ndarray]]:
     """Numbers, times in s and pixels, `[H, W, 3]` (BGR), of every `step`-th frame."""
-    capture = cv2.VideoCapture(str(path))
+    capture = _opened(path)
     try:
         width, height, rate = (
             capture.get(what)

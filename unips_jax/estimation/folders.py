@@ -216,6 +216,11 @@ def estimate_selection(
 
     if verbose:
         print_selection(selection)
+    if options.confidence and len(selection.files) < 2:
+        raise InputError(
+            f"{selection.folder}: expected 2 photographs or more for --confidence (or "
+            "--all), got 1; leave it out"
+        )
     known = _known_lights(selection, options)
     if known is not None:
         _check_use_of_lights(network)

@@ -91,14 +91,15 @@ def is_normal_map(path: Path) -> bool:
         return True
     import tifffile
 
+    from unips_jax.io.formats.tiff import whole_pages
+
     try:
         with tifffile.TiffFile(path) as tiff:
             if int((tiff.imagej_metadata or {}).get("images", 1)) > 1:
                 return False  # a stack may be one page
-            tiff.pages.get(1)
-    except Exception:  # no second page, or damaged: reading finds out
+            return len(whole_pages(tiff)) < 2
+    except Exception:  # damaged: reading finds out
         return True
-    return False
 
 
 def print_examined(found: Examined) -> None:

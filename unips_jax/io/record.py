@@ -148,7 +148,8 @@ def print_record(record: dict[str, Any]) -> None:
     if record.get("moved_back"):
         moves = record["moved_back"].items()
         shown = [f"{name} {x:+.1f} {y:+.1f}" for name, (x, y) in moves]
-        print_line("moved", f"back by {', '.join(shown)} pixels (right, down)")
+        lay = f"{', '.join(shown)} pixels (right, down) from the others"
+        print_line("moved", f"back: {lay}")
     if known := options["known_lights"]:
         print_line("lights", f"known of {len(known)} of {len(record['images'])}")
     print_line("weights", f"{weights['name']} (hash {weights['hash'][:8]})")

@@ -56,8 +56,15 @@ def _from_list(path: Path, names: Sequence[str]) -> tuple[list[int], np.ndarray]
     known, directions = read_directions(path, option)
     places = {plain_name(name): row for row, name in enumerate(known)}
     rows = [row for row, name in enumerate(names) if plain_name(name) in places]
-    if rows:
+    if rows and (len(rows) == len(names) or len(known) != len(names)):
         return rows, directions[[places[plain_name(names[row])] for row in rows]]
+    if rows:  # names go on from an earlier object's, or some lights are not known
+        others = next(name for name in names if plain_name(name) not in places)
+        raise InputError(
+            f"{option}: expected as many lights as photographs by their names, or by "
+            f"none of them in their order, got {len(rows)} of {len(names)} by name, "
+            f"none for {others}; keep the lines of these photographs alone"
+        )
     if len(known) == len(names):
         return list(range(len(names))), directions[rows_in_order(known)]
     raise InputError(

@@ -67,7 +67,9 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
     write_json(folder / "lights.json", content, indent=1)
     lines = [str(len(names))]
     for name, direction in zip(names, lights.directions, strict=True):
-        lines.append(f"{name} {' '.join(f'{x:.6f}' for x in direction)}")
+        # As a comment would begin.
+        shown = f'"{name}"' if name.startswith(("#", "//")) else name
+        lines.append(f"{shown} {' '.join(f'{x:.6f}' for x in direction)}")
     text = "\n".join(lines) + "\n"
     data = text.encode(errors="surrogateescape")
     write_whole(folder / "lights.lp", data, sync=False)

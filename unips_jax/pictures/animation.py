@@ -43,6 +43,11 @@ def write_animation(path: Path, frames: Iterable[np.ndarray], *, fps: float) -> 
 def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     import cv2
 
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:  # which ends OpenCV's process
+        problem = "OpenCV writes an MP4 into a path in UTF-8 only; take gif or webp"
+        raise OSError(errno.EILSEQ, problem) from None
     writer, count = None, 0
     try:
         for frame in frames:

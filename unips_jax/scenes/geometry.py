@@ -59,6 +59,9 @@ class Geometry(NamedTuple):
     entropy: Array  # of the normals, in bits
     backdrop: Backdrop | None = None  # table and wall; None where no scene has them
     ground: Array | None = None  # `[H, W]` bool, where these are seen; part of the mask
+    # `[H, W]`, the share of their surroundings that hollows of the fine relief do not
+    # see; None where no scene has them
+    sunk: Array | None = None
 
 
 def _basis_directions(draws: Draws, count: int) -> Array:
@@ -267,8 +270,10 @@ def finish_geometry(
     amplitude = detail_.noise + detail_.groove + detail_.ridge + detail_.weave
     amplitude = amplitude + jnp.abs(detail_.dimple) + 1e-6
     height = relief / amplitude
+    sunk = None
     if hollow is not None:
-        visibility = visibility * (1 - hollow * jnp.clip(-height, 0.0, 1.0))
+        sunk = hollow * jnp.clip(-height, 0.0, 1.0)
+        visibility = visibility * (1 - sunk)
     focal = 18 * camera.distance / camera.window[2]
     return Geometry(
         mask=mask,
@@ -285,4 +290,5 @@ def finish_geometry(
         entropy=jnp.asarray(entropy, jnp.float32),
         backdrop=backdrop,
         ground=None if ground is None else ground.seen.reshape(frame),
+        sunk=sunk,
     )

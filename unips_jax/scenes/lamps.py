@@ -17,6 +17,8 @@ from unips_jax.scenes.surroundings import (
     with_sun,
 )
 
+# Steps by which any number of points fill a square evenly (Roberts, 2018: R2).
+_SPREAD = 0.7548776662, 0.5698402910
 _DIRECTIONAL, _ENVIRONMENT, _MIXED, _POINT, _AREA = range(len(LIGHT_KINDS))
 
 
@@ -41,10 +43,18 @@ class Sides(NamedTuple):
 
 
 def _key_directions(draws: Draws, num_images: int) -> Array:
-    """Directions over a cap around the viewer whose width varies by scene."""
-    lowest = jnp.cos(draws.uniform(0.8, 1.65))
-    z = draws.uniform(lowest, 1.0, num_images)
-    angle = draws.uniform(0.0, 2 * math.pi, num_images)
+    """Directions over a cap around the viewer whose width varies by scene.
+
+    As of a lamp that is moved about, or of a rig: in half of the scenes they are spread
+    evenly, so that their mean is nearly the view axis.
+    """
+    lowest = jnp.cos(draws.uniform(0.4, 1.65))
+    even = draws.chance(0.5)
+    start, places = draws.unit(2), draws.unit(num_images, 2)
+    steps = jnp.arange(num_images)[:, None] * jnp.asarray(_SPREAD)
+    places = jnp.where(even, (start + steps) % 1.0, places)
+    z = 1 - (1 - lowest) * places[:, 0]
+    angle = 2 * math.pi * places[:, 1]
     ring = jnp.sqrt(1 - z * z)
     return jnp.stack([ring * jnp.cos(angle), ring * jnp.sin(angle), z], -1)
 

@@ -65,6 +65,11 @@ def _response(x: Array, curve: Array, gamma: Array) -> Array:
     )
 
 
+def _from_srgb(x: Array) -> Array:
+    raised = jnp.exp(2.4 * jnp.log((x + 0.055) / 1.055))
+    return jnp.where(x <= 0.04045, x / 12.92, raised)
+
+
 def _rims(key: Array, images: Array, mask: Array) -> Rims:
     key_draws, key_uniform = jax.random.split(key)
     weight = mask / jnp.maximum(jnp.sum(mask), 1)
@@ -118,6 +123,8 @@ def record(
     coarse = draws.chance(jnp.where(curve == 0, config.eight_bit_rate, 0.8))
     levels = jnp.where(coarse, 255.0, 65535.0)
     images = jnp.round(images * levels) / levels
+    # Photographs of 8 bits are taken as sRGB: of other curves a part remains.
+    images = jnp.where(coarse & (curve != 0), _from_srgb(images), images)
     rate = jnp.where(draws.chance(config.mask_error_rate), draws.uniform(0.2, 1.0), 0)
     eroded = erode(mask, jax.random.uniform(key_mask, mask.shape), rate)
     mask = eroded if rims is None else jnp.where(rimmed, miss(rims, mask), eroded)

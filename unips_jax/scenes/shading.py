@@ -91,6 +91,8 @@ def shade_key_light(
     size = jnp.where(near > 0, radius * jnp.sqrt(attenuation), radius)
     sharpness = 1 / jnp.maximum(size, 0.02)
     seen = soft_visibility(clear, n_l, sharpness)
+    if geometry.sunk is not None:  # the fine relief casts no shadows of its own
+        seen = seen * (1 - geometry.sunk.reshape(-1) * (1 - lit))
     half = normalize((light[0] + view[0], light[1] + view[1], light[2] + view[2]))
     brdf = reflectance(
         surface,

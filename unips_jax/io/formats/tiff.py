@@ -201,15 +201,20 @@ def _tiled_size(page: tifffile.TiffPage) -> int:
     return height * -(-page.imagewidth // page.tilewidth) * page.tilewidth
 
 
-def _photograph(tiff: tifffile.TiffFile) -> tifffile.TiffPage:
-    """The only page that is neither a preview nor a transparency mask."""
-    pages = [
+def whole_pages(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
+    """The pages that are neither previews nor transparency masks."""
+    return [
         page
         for page in tiff.pages
         if isinstance(page, tifffile.TiffPage)
         and not int(page.subfiletype) & (_REDUCED | _TRANSPARENCY)
         and not (page.tags.valueof(255) or 0) == 2  # the same, in old files
     ]
+
+
+def _photograph(tiff: tifffile.TiffFile) -> tifffile.TiffPage:
+    """The only whole page."""
+    pages = whole_pages(tiff)
     if not len(tiff.pages):
         raise Damaged("without pages")
     if not pages:
