@@ -171,6 +171,13 @@ def test_lights_are_roughly_right():
     )
     assert np.abs(turn).max() < 30
     assert rough_lights(images, np.ones_like(mask), "srgb") is None
+    # Of a small object in a large picture too.
+    around = (300, 300), (400, 400)
+    images, mask = np.pad(images, ((0, 0), *around, (0, 0))), np.pad(mask, around)
+    np.testing.assert_allclose(rough_lights(images, mask, "srgb").directions, found)
+    thin = np.zeros((20, 9000), bool)
+    thin[5:15, 3000:3200] = True
+    rough_lights(np.zeros((4, *thin.shape, 3), np.uint8), thin, "srgb")
 
 
 def test_linear_values_of_matte_objects_are_told():
@@ -294,7 +301,7 @@ def test_estimate_tells_and_registers(folder, tmp_path, calls, capsys):  # noqa:
     assert [f["kind"] for f in record["findings"]] == ["moved"]
     assert run(folder, "-o", tmp_path / "b", "--register") == 0
     out, err = capsys.readouterr()
-    assert re.search(r"moved     back by 6.jpg \+1[12]\.\d -[67]\.\d pix", out)
+    assert re.search(r"moved     back: 6.jpg \+1[12]\.\d -[67]\.\d pixels", out)
     assert err == ""
     record = json.loads((tmp_path / "b/pot/normals.json").read_text())
     np.testing.assert_allclose(record["moved_back"]["6.jpg"], [12, -7], atol=0.3)

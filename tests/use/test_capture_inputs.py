@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import random
 import re
 import struct
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -25,6 +27,7 @@ from unips_jax.cli import main as cli
 from unips_jax.errors import InputError
 from unips_jax.io.color import CURVES, Encoding, as_linear, srgb_encode
 from unips_jax.io.images import read_image, read_image_file
+from unips_jax.io.normal_maps import is_normal_map
 from unips_jax.io.photographs import read_capture
 from unips_jax.io.selection import select
 
@@ -102,6 +105,26 @@ def test_pages_are_read_as_files_of_their_own(tmp_path, pages, tags):
         np.testing.assert_array_equal(found.alpha, expected.alpha)
 
 
+def test_colours_as_pages_are_no_photographs(tmp_path):
+    """As ImageJ saves several pictures of three channels."""
+    images = np.moveaxis(_COLOUR[..., :3].astype(np.uint16), -1, 1)
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, images, imagej=True, metadata={"axes": "ZCYX"})
+    with pytest.raises(InputError, match="got 3 colours of each as pages"):
+        with unpacked(path):
+            pass
+
+
+def test_a_normal_map_with_a_thumbnail_is_one(tmp_path):
+    path = tmp_path / "normal.tif"
+    with tifffile.TiffWriter(path) as tiff:
+        tiff.write(_COLOUR[0, ..., :3], photometric="rgb")
+        tiff.write(_COLOUR[0, ::4, ::4, :3], photometric="rgb", subfiletype=1)
+    assert is_normal_map(path)
+    tifffile.imwrite(path, _COLOUR[..., :3], photometric="rgb", append=True)
+    assert not is_normal_map(path)
+
+
 def test_errors_of_pages_name_the_file_whatever_the_separator(tmp_path):
     path = tmp_path / "stack.tif"
     tifffile.imwrite(path, _COLOUR[..., :3], photometric="rgb")
@@ -165,6 +188,19 @@ def test_a_video_gives_the_frames_whose_light_differs(video, tmp_path, calls, ca
     assert "up to date" in capsys.readouterr().out and len(calls) == 1
     assert cli.main(["check", str(path)]) == 0
     assert "turn.avi: 12 photographs" in capsys.readouterr().out
+
+
+def test_names_of_videos_that_opencv_cannot_take(video, tmp_path, monkeypatch):
+    path, _ = video
+    (tmp_path / "12:30.avi").write_bytes(path.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    with unpacked(Path("12:30.avi"), frames=3) as folder:
+        assert len(select(folder).files) == 3
+    strange = tmp_path / os.fsdecode(b"caf\xe9.avi")
+    path.rename(strange)
+    with pytest.raises(InputError, match="expected a path in UTF-8 for a video"):
+        with unpacked(strange):
+            pass
 
 
 def test_messages_name_the_video_and_the_time(video, tmp_path, calls, capsys):  # noqa: F811
@@ -292,6 +328,17 @@ def test_a_dark_frame_is_subtracted(folder, tmp_path, calls, capsys):  # noqa: F
     assert len(calls) == 1
     assert run(folder, "-o", tmp_path / "out", "--dark", folder / "none.png") == 2
     assert "expected a photograph without the lamp" in capsys.readouterr().err
+
+
+def test_a_dark_frame_of_floats_that_encode_light(folder):
+    folder, lit = folder
+    capture = read_capture(select(folder, exclude=["room*"]))
+    room = read_image_file(folder / "room.png")
+    floats = dataclasses.replace(capture, images=capture.images / np.float32(255))
+    dark = dataclasses.replace(room, pixels=room.pixels / np.float32(255))
+    images = without_ambient(floats, dark, [*"01234567"]).images
+    assert images.dtype == np.float32
+    assert np.abs(as_linear(images, "srgb") - lit).max() < 0.01
 
 
 def test_dark_frames_that_do_not_fit(folder):

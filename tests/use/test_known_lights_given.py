@@ -61,6 +61,7 @@ def test_later_ones_replace_earlier_ones(tmp_path):
         ("none.lp", "found no such file"),
         ("others.lp", "got 1 of other names"),
         ("more.lp", "got 5 of other names"),
+        ("half.lp", "got 2 of 4 by name, none for 3.jpg"),
         ("pixels.lp", "three numbers, got highlights' places"),
     ],
 )
@@ -69,6 +70,8 @@ def test_what_fits_no_photograph_is_refused(tmp_path, monkeypatch, text, message
     (tmp_path / "others.lp").write_text("x.jpg 0 0 1\n")
     more = "".join(f"x{i}.jpg 0 0 1\n" for i in range(5))
     (tmp_path / "more.lp").write_text(more)
+    half = "".join(f"{name} 0 0 1\n" for name in ("a_1.png", "a_2.png", "a_3", "a_4"))
+    (tmp_path / "half.lp").write_text(half)
     (tmp_path / "pixels.lp").write_text("b.jpg 10 20\n")
     with pytest.raises(InputError, match=message) as caught:
         read_known_lights([text], NAMES)

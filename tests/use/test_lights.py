@@ -18,6 +18,7 @@ from lamp_photographs import (
 from unips_jax import estimate_lights
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.images import read_image_file, read_linear
+from unips_jax.io.light_list import read_light_list
 from unips_jax.io.results import RECORD, transfer_of
 from unips_jax.lighting.harmonics import COSINE_LOBE, harmonics
 from unips_jax.lighting.light_files import base_color, write_base_color, write_lights
@@ -148,7 +149,11 @@ def test_dark_and_saturated_paint_stays(noise):
 def test_lights_on_disk(tmp_path):
     lights = estimate_lights(photographs(), NORMALS, MASK)
     names = [f"{index}.png" for index in range(5)]
+    (tmp_path / "marked").mkdir()
     write_lights(tmp_path, names, lights)
+    write_lights(tmp_path / "marked", ["#1.png", *names[1:]], lights)
+    listed = read_light_list(tmp_path / "marked" / "lights.lp")
+    assert listed.names[0] == "#1.png" and not listed.problems
     count, *lines = (tmp_path / "lights.lp").read_text().splitlines()
     assert count == "5"
     for line, name, direction in zip(lines, names, DIRECTIONS, strict=True):

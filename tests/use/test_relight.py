@@ -2,6 +2,7 @@
 
 import functools
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -14,11 +15,13 @@ from plain_objects import hemisphere
 from unips_jax import DistantLights, Materials, estimate_lights, relight
 from unips_jax.cli.relight import main
 from unips_jax.io.color import as_linear
+from unips_jax.io.door import NotWritten
 from unips_jax.io.images import read_image
 from unips_jax.lighting.environment import blurred, glossy_light, sphere, turned
 from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
 from unips_jax.lighting.light_files import write_lights
 from unips_jax.lighting.reflectance import ggx
+from unips_jax.pictures.animation import write_animation
 
 NORMALS, MASK, _ = hemisphere(24)
 WHITE = Materials(jnp.ones(3), 0.5, 0.0, specular=0.0)
@@ -257,6 +260,15 @@ def test_command_writes_a_picture_and_a_turning_one(result, tmp_path, capsys):
         ):
             assert frame[row, column].mean() > frame[23 - row, 23 - column].mean() + 40
     assert "grey, none given" in capsys.readouterr().out
+
+
+def test_an_mp4_at_a_path_that_opencv_cannot_take(tmp_path):
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    folder.mkdir()
+    frames = [np.zeros((8, 8, 3), np.uint8)] * 2
+    with pytest.raises(NotWritten, match="into a path in UTF-8 only; take gif or"):
+        write_animation(folder / "turning.mp4", frames, fps=25)
+    assert list(folder.iterdir()) == []
 
 
 def read_frames(path):
