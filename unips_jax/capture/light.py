@@ -52,9 +52,7 @@ def rough_lights(
     """The lights of photographs `[N, H, W, 3]`, roughly; of one whole object alone."""
     touching = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).sum()
     outline = mask.sum() - cv2.erode(mask.astype(np.uint8), np.ones((3, 3))).sum()
-    if touching > _TOUCHING * max(outline, 1):
-        return None
-    if not mask.any():
+    if touching > _TOUCHING * max(outline, 1) or not mask.any():
         return None
     box = mask_box(mask, 1)
     images, mask = images[:, *box], mask[box]
