@@ -353,7 +353,7 @@ def _odd_cases():
         ("diligent", "pmsData/bearPNG"),
         ("luces", "data/Cup"),
         ("uw", "psmImages/gray"),
-        ("diligent-mv", "mvpmsData/cowPNG/view_20"),
+        ("diligent-mv", "mvpmsData/cowPNG/view_02"),
         ("ps-wild", "directional"),
         ("folder", "cup"),
     ):
