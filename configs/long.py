@@ -6,7 +6,7 @@ r"""The long run: rich scenes at a constant rate, until nothing more is gained.
         --init-weights runs/long-begin.safetensors
 
 What: `tiny` from its weights, with a consensus twice as wide, tokens for kinds of light
-and known lights, on scenes of which a third are meshes by others, in environments of
+and known lights, on scenes of which a quarter are meshes by others, in environments of
 which a third are photographed, with light that bounces from what is near, paint,
 carvings, spotted metal, and borders that mix with a background in 30 % (masks are
 learnt). Of three in ten sets with a lamp the network is given it, roughly or exactly.
@@ -42,14 +42,15 @@ def get_config() -> Config:
             material_weights=(0.1, 0.09, 0.09, 0.08, 0.08, 0.2, 0.12, 0.06, 0.1, 0.08),
             perspective_rate=0.5,
             rim_rate=0.3,
-            side_rate=0.15,
+            side_rate=0.1,
             whole_frame_rate=0.1,
             photograph_rate=0.33,
-            bounce_rate=0.5,
-            paint_rate=0.25,
-            carving_rate=0.3,
+            linear_rate=0.8,
+            bounce_rate=0.4,
+            paint_rate=0.2,
+            carving_rate=0.2,
             metal_spot_rate=0.3,
-            mesh_rate=0.33,
+            mesh_rate=0.25,
             mesh_file=SHAPES,
         ),
         optim=dataclasses.replace(
