@@ -332,12 +332,12 @@ def test_losses_that_mean_nothing_are_refused(options, message):
         LossOptions(num_pixels=64, **options)
 
 
-def test_tokens_need_scenes_that_know_the_light():
+def test_scenes_with_kinds_of_light_are_not_augmented():
     model = dataclasses.replace(SMALL_OURS, light_tokens=True)
-    for change in ({"augment": True}, {"source": "folders", "augment": False}):
-        data = dataclasses.replace(CONFIG.data, **change)
-        with pytest.raises(ValueError, match="light_tokens: expected scenes"):
-            Config(model=model, data=data)
+    data = dataclasses.replace(CONFIG.data, augment=True)
+    with pytest.raises(ValueError, match="light_tokens: expected no augment"):
+        Config(model=model, data=data)
+    Config(model=model, data=dataclasses.replace(data, source="folders"))
 
 
 def test_weights_join_a_network_that_has_grown(tmp_path):

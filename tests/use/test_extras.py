@@ -151,7 +151,7 @@ def test_estimate_writes_what_is_asked_for(tmp_path):
     # What the network guesses, here a random one.
     images, mask, transfer = read_photographs(folder)
     network = lively_network(SHALLOW_OURS)
-    _, guesses = estimate_with_lights(network, images, mask, transfer=transfer)
+    guesses = estimate_with_lights(network, images, mask, transfer=transfer).lights
     directions = np.array([light["direction"] for light in found])
     assert angles(directions, guesses).max() < 0.1
     levels = cv2.imread(str(out / "confidence.png"), cv2.IMREAD_UNCHANGED)

@@ -22,9 +22,11 @@ from unips_jax.lighting.near import NearField, places_of
 if TYPE_CHECKING:
     from unips_jax.estimation.streaming import NormalsAndLights
     from unips_jax.estimation.writing import Estimate
-    from unips_jax.models.network import UniversalNetwork
+    from unips_jax.models.network import Lamps, UniversalNetwork
 
 UNRELIABLE_DEG = 15.0  # of spread: a pixel above it is in the mask
+# A lamp's share of the light, below which it is not the key light, above which it is.
+_LAMPLESS, _LAMPLIT = 0.1, 0.25
 
 
 class Extras(NamedTuple):
@@ -59,10 +61,18 @@ def estimate_extras(
     elif options.lights or options.base_color or options.rti:
         from unips_jax.lighting.light_fit import estimate_lights
 
-        guesses = _with_known(found.lights, known) if rig is None else rig
+        lamps = found.lamps if rig is None else None
+        guesses = _with_known(key_lights(found.lights, lamps), known)
         lights = estimate_lights(
-            images, found.normals, mask, guesses=guesses, near=near, transfer=transfer
+            images,
+            found.normals,
+            mask,
+            guesses=guesses if rig is None else rig,
+            near=near,
+            transfer=transfer,
         )
+        if lamps is not None:
+            lights = lights._replace(lamp_shares=np.asarray(lamps.shares))
     if options.confidence:
         from unips_jax.estimation.confidence import normal_spread
 
@@ -77,6 +87,23 @@ def estimate_extras(
             progress=progress,
         )
     return Extras(lights, confidence)
+
+
+def key_lights(lights: np.ndarray | None, lamps: "Lamps | None") -> np.ndarray | None:
+    """Each photograph's key light `[N, 3]`, as long as it is direct.
+
+    The lamp, as long as its share of all light, where it has a quarter of it or more;
+    in surroundings the mean direction of all light.
+    """
+    if lights is None or lamps is None:
+        return lights
+    share = np.asarray(lamps.shares)[:, None]
+    # Little by little: colours fitted to either differ, and must not jump.
+    lamp = np.clip((share - _LAMPLESS) / (_LAMPLIT - _LAMPLESS), 0, 1)
+    length = np.linalg.norm(lights, axis=-1, keepdims=True)
+    towards = lamp * lamps.directions + (1 - lamp) * lights / np.maximum(length, 1e-6)
+    towards /= np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), 1e-6)
+    return towards * (lamp * share + (1 - lamp) * length)
 
 
 def _with_known(

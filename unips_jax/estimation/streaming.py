@@ -19,11 +19,13 @@ from unips_jax.models import chunks
 from unips_jax.models.config import check_lights
 from unips_jax.models.network import (
     Encoding,
+    Lamps,
     UniversalNetwork,
     check_images,
     check_mask,
     decode,
     encode,
+    guessed_lamps,
     guessed_lights,
     with_uniform_contexts,
 )
@@ -48,6 +50,7 @@ class NormalsAndLights(NamedTuple):
     normals: np.ndarray  # `[H, W, 3]`, float32: unit inside the mask, zero outside
     # `[N, 3]`, float32, see `guessed_lights`; None from a network that makes no guesses
     lights: np.ndarray | None
+    lamps: Lamps | None = None  # from a network that has tokens for kinds of light
 
 
 def estimate_photographs(
@@ -144,7 +147,7 @@ def estimate_with_lights(
         images, mask, linear, network.config, frame, lights=lights, padded=padded
     )
     contexts, *guessed = _encode(network, views, valid, uniform=uniform_contexts)
-    found = np.asarray(guessed[0])[:count] if guessed else None
+    own, *lamps = (np.asarray(x)[:count] for x in guessed) if guessed else (None,)
     encoding = Encoding(contexts, *views[1:4])
 
     def values(y: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -159,8 +162,10 @@ def estimate_with_lights(
     if preview is not None:
         _show_coarse(preview, decoder, encoding, mask)
     if fast and len(contexts) > 1:
-        return NormalsAndLights(_decode_fast(decoder, encoding, mask, progress), found)
-    return NormalsAndLights(decoder(encoding, mask, progress=progress), found)
+        normals = _decode_fast(decoder, encoding, mask, progress)
+    else:
+        normals = decoder(encoding, mask, progress=progress)
+    return NormalsAndLights(normals, own, Lamps(*lamps) if lamps else None)
 
 
 def _decode_pixels(
@@ -299,12 +304,15 @@ def padded_size(count: int) -> int:
 def _encode(
     network: UniversalNetwork, views: Views, valid: Array, *, uniform: bool
 ) -> tuple[Array, ...]:
-    """Contexts, and the guessed lights if the network guesses."""
+    """Contexts, and what the network guesses of lights, then of lamps."""
     encoding = encode(network, views, valid, **chunks.bounded(views.images.shape[1]))
-    lights = guessed_lights(encoding)
+    guesses: list[Array] = []
+    lights, lamps = guessed_lights(encoding), guessed_lamps(encoding, views.lights)
+    if lights is not None:
+        guesses = [lights, *(lamps or ())]
     if uniform:
         encoding = with_uniform_contexts(encoding, views)
-    return (encoding.contexts,) if lights is None else (encoding.contexts, lights)
+    return (encoding.contexts, *guesses)
 
 
 @kept

@@ -26,13 +26,15 @@ from unips_jax.lighting.light_fit import (
     strips,
 )
 
+# Kinds of light, and the largest share of a lamp.
+_KINDS = {"surroundings": 0.25, "both": 0.75, "lamp": 1.0}
 _SAMPLE = 20000
 _BRIGHT = 0.8  # base colour that the brightest percent is brought to
 
 
 def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
     """Writes `lights.json` and `lights.lp` into a folder that exists."""
-    photographs = [
+    photographs: list[dict[str, Any]] = [
         {
             "file": name,
             "direction": _rounded(lights.directions[index]),
@@ -58,6 +60,15 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
         },
         "photographs": photographs,
     }
+    if lights.lamp_shares is not None:
+        for photograph, share in zip(photographs, lights.lamp_shares, strict=True):
+            photograph["kind"] = next(k for k, most in _KINDS.items() if share <= most)
+            photograph["lamp_share"] = _rounded(share)
+        content["conventions"] |= {
+            "kind": "lamp, surroundings or both: above three quarters, below one "
+            "quarter of the light from a lamp, or between",
+            "lamp_share": "of the power of all light, 0 to 1",
+        }
     if lights.near is not None:
         content["lamp_distance"] = lights.near.distance
         content["conventions"]["lamp_distance"] = (

@@ -49,6 +49,8 @@ class Lights(NamedTuple):
         surroundings: `[N, 9, 3]`, radiance of all but the key.
         near: where lamps and surface are, if the lamps are near; directions and colours
             are then those at the image's middle.
+        lamp_shares: `[N]`, a lamp's share of all light, in [0, 1], where the network
+            tells kinds of light apart.
     """
 
     directions: np.ndarray
@@ -57,6 +59,7 @@ class Lights(NamedTuple):
     harmonics: np.ndarray
     surroundings: np.ndarray
     near: NearField | None = None
+    lamp_shares: np.ndarray | None = None
 
 
 class Scales(NamedTuple):

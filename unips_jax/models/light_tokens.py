@@ -16,6 +16,7 @@ from jax.typing import DTypeLike
 from unips_jax.models.set_attention import PMA, SAB, dense, layer_norm
 
 _KINDS, _REGISTERS = 3, 4  # surroundings, near lamp, distant lamp
+_QUERY_CHUNK = 512  # tokens of a large set that attend to all of them at a time
 
 
 class LightGuess(NamedTuple):
@@ -55,7 +56,8 @@ class LightTokens(nn.Module):
         tokens = tokens + dense(self.features, self.dtype, "light")(light)[:, :, None]
         tokens = tokens.reshape(batch, images * count, self.features)
         members = None if valid is None else jnp.repeat(valid, count)
-        tokens = SAB(name="share", **options)(tokens, members, True)
+        share = SAB(name="share", query_chunk=_QUERY_CHUNK, **options)
+        tokens = share(tokens, members, True)
         tokens = layer_norm(self.dtype, "norm")(tokens)
         tokens = tokens.reshape(batch, images, count, self.features)
 

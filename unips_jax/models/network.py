@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax.traverse_util import flatten_dict
 from jax import Array
 
@@ -18,6 +19,7 @@ from unips_jax.errors import InputError
 from unips_jax.models import ops, self_calibrating, unips
 from unips_jax.models.config import ModelConfig, SelfCalibratingConfig
 from unips_jax.models.encoding import Encoded, Guesses, Pieces, whole
+from unips_jax.models.known_lights import moved_to_known
 from unips_jax.models.views import Frame, Views, context_cells
 
 Params = dict[str, Any]
@@ -101,6 +103,13 @@ class Encoding(NamedTuple):
     mirrored: Array
     width: Array
     guesses: Guesses | None = None  # of each view
+
+
+class Lamps(NamedTuple):
+    """The lamps of N images, guessed by a network with tokens for kinds of light."""
+
+    directions: Array | np.ndarray  # [N, 3], unit; of no meaning where there is no lamp
+    shares: Array | np.ndarray  # [N], of all light, in [0, 1]
 
 
 def encode(
@@ -205,6 +214,27 @@ def guessed_lights(encoding: Encoding) -> Array | None:
         return None
     lights = _mirrored_back(encoding.guesses.lights, encoding.mirrored)
     return jnp.mean(lights, axis=0)
+
+
+def guessed_lamps(encoding: Encoding, lights: Array | None = None) -> Lamps | None:
+    """The lamps of an object's N images, the mean over the V views.
+
+    They turn to known `lights [V, N, 3]` (see `models.known_lights`), those that the
+    views have. None where the network has no tokens for kinds of light.
+    """
+    if encoding.guesses is None or encoding.guesses.kinds is None:
+        return None
+    kinds = encoding.guesses.kinds
+    shares = [jax.nn.sigmoid(x) for x in (kinds.near_share, kinds.distant_share)]
+    towards = ops.normalize(
+        shares[0][..., None] * ops.normalize(kinds.near)
+        + shares[1][..., None] * ops.normalize(kinds.distant)
+    )
+    if lights is not None:
+        towards = towards + moved_to_known(towards, lights)
+    towards = jnp.mean(_mirrored_back(towards, encoding.mirrored), axis=0)
+    share = jnp.clip(jnp.mean(shares[0] + shares[1], axis=0), 0, 1)
+    return Lamps(ops.normalize(towards), share)
 
 
 def _mirrored_back(vectors: Array, mirrored: Array) -> Array:

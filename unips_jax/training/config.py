@@ -189,7 +189,7 @@ class TrainConfig:
             loss, next to the normals' own distance.
         lights_guess_weight: what its guess of where the lights are weighs there.
         kinds_guess_weight: what its guesses of the kinds of light weigh there, if the
-            network makes any (`light_tokens`).
+            network makes any (`light_tokens`); of scenes alone.
         steepness_weight: pixels count by the exponential of this times how much the
             true normals change within their block of 2 x 2; 0: all the same.
         differences_weight: what the differences between the pixels of a block weigh.
@@ -270,8 +270,9 @@ class Config:
         require(
             not (
                 getattr(self.model, "light_tokens", False)
-                and (data.augment or data.source == "folders")
+                and data.augment
+                and data.source != "folders"
             ),
-            "light_tokens: expected scenes and no augment (--data.no-augment), which "
-            "know the kinds of light, got others",
+            "light_tokens: expected no augment (--data.no-augment) with scenes, whose "
+            "kinds of light it would not turn, got both",
         )
