@@ -84,6 +84,36 @@ def test_black_paint_is_no_hole_in_a_models_colours(tmp_path):
     np.testing.assert_array_equal(found, colors)
 
 
+def test_a_models_tangents_are_those_of_its_texture_coordinates(tmp_path):
+    """Blender reads no others: to the right in the picture, along the surface."""
+    row, column = np.mgrid[:80, :80] - 39.5
+    depth = (0.012 * (row**2 + column**2)).astype(np.float32)  # slopes up to 43 degrees
+    slopes = np.stack([0.024 * column, -0.024 * row, np.ones_like(row)], -1)
+    normals = slopes / np.linalg.norm(slopes, axis=-1, keepdims=True)
+    data, _ = blender_model(depth, normals.astype(np.float32), name="bowl")
+    (tmp_path / "bowl.glb").write_bytes(data)
+    content, accessor = read_glb(tmp_path / "bowl.glb")
+    names = content["meshes"][0]["primitives"][0]["attributes"]
+    x = accessor(names["TEXCOORD_0"])[:, 0] * 80 - 40
+    along = np.stack([np.ones_like(x), 0 * x, -0.024 * x], -1)
+    cosine = (along * accessor(names["TANGENT"])[:, :3]).sum(-1)
+    cosine /= np.linalg.norm(along, axis=-1)
+    inside = abs(x) < 36  # the frame's normals are blurred, at borders from one side
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1)))[inside].max() < 1
+
+
+def test_a_model_does_not_bridge_gaps_of_the_mask():
+    """Two planes, one far behind the other, three pixels apart, on a grid of five."""
+    depth = np.zeros((60, 90), np.float32)
+    depth[:, 41:44] = np.nan
+    depth[:, 44:] = 300
+    normals = np.broadcast_to(np.float32([0, 0, 1]), (*depth.shape, 3))
+    data, _ = blender_model(depth, normals, name="shards", max_faces=420)
+    read = trimesh.load(io.BytesIO(data), file_type="glb", force="mesh")
+    assert np.ptp(read.vertices[read.faces][..., 2], axis=1).max() < 1e-3
+    assert read.body_count == 2
+
+
 @pytest.mark.parametrize("focal", [None, 500.0])
 def test_a_model_does_not_bridge_jumps(focal):
     """Two steps of 30 pixels, and a slope that falls as far over 32."""

@@ -9,7 +9,7 @@ import pytest
 from picture_files import png_with_orientation
 
 from unips_jax.cli.multiview import main
-from unips_jax.io.cameras import read_sfm_data
+from unips_jax.io.cameras import read_sfm_data, sfm_data_of
 from unips_jax.io.images import read_image, read_image_file, turned, write_image
 from unips_jax.io.normals import decode_normals, write_normals
 from unips_jax.io.orientation import normals_as_stored
@@ -274,6 +274,21 @@ def test_focal_lengths_of_columns_and_rows(tmp_path):
         np.testing.assert_allclose(np.diag(found.matrix), [50, 40, 1])
 
 
+def test_lenses_of_another_size_have_numbers_of_their_own(tmp_path):
+    """Of three views by lens 77, one at half size; another lens has the next number."""
+    content = sfm_data(tmp_path, "1.2")
+    content["intrinsics"].append(content["intrinsics"][0] | {"intrinsicId": "78"})
+    for view in content["views"][4:]:
+        view["intrinsicId"] = "78"
+    (tmp_path / "in.sfm").write_text(json.dumps(content))
+    cameras, _ = read_sfm_data(tmp_path / "in.sfm")
+    whole, half = (WIDTH, HEIGHT), (WIDTH // 2, HEIGHT // 2)
+    found = sfm_data_of(content, cameras, ["a", "b", "c"], [whole, half, whole])
+    widths = {lens["intrinsicId"]: lens["width"] for lens in found["intrinsics"]}
+    assert widths == {"77": str(WIDTH), "79": str(WIDTH // 2), "78": str(WIDTH)}
+    assert [view["intrinsicId"] for view in found["views"]] == ["77", "79", "78"]
+
+
 def test_what_does_not_belong_is_refused(tmp_path, capsys):
     results = given(tmp_path, color=False)
     sfm, out = str(tmp_path / "in.sfm"), str(tmp_path / "out")
@@ -301,6 +316,11 @@ def test_what_does_not_belong_is_refused(tmp_path, capsys):
     content["intrinsics"][0]["pixelRatio"] = "0.5"
     (tmp_path / "other.sfm").write_text(json.dumps(content))
     refused([*results, *other], "other.sfm: expected lenses of pixelRatio 1, got 0.5")
+    content = sfm_data(tmp_path, "1.2")
+    for view in content["views"]:  # two cameras of a rig, a pose for both
+        view["subPoseId"] = view["path"][-5]
+    (tmp_path / "other.sfm").write_text(json.dumps(content))
+    refused([*results, *other], "expected one camera a pose, got several of a rig")
     # Without colours there is no albedo; distortion is not passed over in silence.
     content = sfm_data(tmp_path, "1.2")
     content["intrinsics"][0]["distortionParams"] = ["0.1"]

@@ -98,6 +98,10 @@ def test_depth_is_a_prior_of_the_next(files):
         (["--focal", "exif"], "--focal exif: expected a photograph, got none"),
         (["--scale", "0"], "--scale: expected above 0, got 0.0"),
         (["--scale", "0.5"], "--scale 0.5: expected its unit, got none; add --unit mm"),
+        (
+            ["--scale", "9", "--unit", "inch", "--export", "print"],
+            "--unit inch: expected one of m, cm, mm with --export blender or print",
+        ),
         (["--prior", "z.npy", "--focal", "90"], "expected a depth above 0 at some"),
         (["--prior", "nan.npy"], "--prior: expected a depth at some pixel"),
         (["--mask", "small.png"], "expected the normals' size, 48 x 48, got 5 x 4"),
@@ -114,6 +118,13 @@ def test_bad_options_are_one_line(options, message, files, capsys, monkeypatch):
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert not (files / "out").exists()
+
+
+def test_a_model_and_a_mesh_of_one_name_are_refused(files, capsys):
+    (files / "normals.npy").rename(files / "mesh.npy")
+    given = [str(files / "mesh.npy"), "-o", str(files / "out"), "--mesh", "glb"]
+    assert surface([*given, "--export", "blender"]) == 2
+    assert "got mesh.glb for both; rename" in capsys.readouterr().err
 
 
 def test_bad_normals_are_one_line(files, capsys):

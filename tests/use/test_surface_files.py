@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gltf_reader import read_glb
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from unips_jax.errors import InputError
 from unips_jax.surface.depth_files import write_depth
@@ -161,6 +162,25 @@ def test_simplified_mesh_keeps_shape_and_colors(tmp_path):
     assert np.abs(z + 0.01 * ((x - 0.5) ** 2 + (y + 0.5) ** 2)).max() < 0.2
     bright = read.visual.vertex_colors[:, 0] > 100
     assert bright[x > 2].all() and not bright[x < -2].any()
+
+
+def test_simplified_meshes_are_the_same_in_any_unit(tmp_path):
+    pytest.importorskip(
+        "fast_simplification", reason="fast-simplification is not installed"
+    )
+    row, column = np.mgrid[:60, :60].astype(np.float32) - 29.5
+    depth = 0.01 * (row**2 + column**2) - np.maximum(0, 6 - abs(column))
+    meshes = []
+    for side in (1.0, 2e-5):
+        write_mesh(
+            tmp_path / "mesh.ply",
+            mesh_of_depth(side * depth, pixel_size=side),
+            max_faces=400,
+        )
+        meshes.append(trimesh.load(tmp_path / "mesh.ply").vertices / side)
+    # As far as rounding decides between edges; without units, 0.9 at most.
+    off = cKDTree(meshes[0]).query(meshes[1])[0]
+    assert np.median(off) < 0.01, np.quantile(off, [0.5, 0.9, 1])
 
 
 def test_bad_meshes_are_one_line(tmp_path):

@@ -39,7 +39,7 @@ from unips_jax.io.results import (
 from unips_jax.surface.archive import archive
 from unips_jax.surface.depth_files import read_depth
 from unips_jax.surface.exports import Scale, blender_model, printable
-from unips_jax.surface.mesh import check_mesh_file
+from unips_jax.surface.mesh import METRES, check_mesh_file
 from unips_jax.surface.outputs import (
     MeshFormat,
     SurfaceOptions,
@@ -256,6 +256,16 @@ def _check(options: Options) -> None:
         raise InputError(
             f"--scale {options.scale:g}: expected its unit, got none; add --unit mm or "
             "another"
+        )
+    if (model or "print" in options.export) and options.unit not in (None, *METRES):
+        raise InputError(
+            f"--unit {options.unit}: expected one of {', '.join(METRES)} with --export "
+            "blender or print, which have a size, got another; convert --scale"
+        )
+    if model and options.mesh == "glb" and _name(options.normals) == "mesh":
+        raise InputError(
+            "--export blender: expected another name than that of --mesh glb, got "
+            f"mesh.glb for both; rename {options.normals}"
         )
     if options.mesh is not None:
         check_mesh_file(Path(f"mesh.{options.mesh}"))

@@ -8,6 +8,7 @@ z away from the viewer; (0, 0) and (width, height) are the image's corners. In S
 
 import copy
 import dataclasses
+import itertools
 import json
 import os
 from collections.abc import Sequence
@@ -81,6 +82,11 @@ def _cameras(content: dict[str, Any], folder: Path) -> list[Camera]:
         pose = str(item["poseId"])
         if pose not in views:
             continue
+        if len({str(view.get("subPoseId", "")) for view in views[pose]}) > 1:
+            raise InputError(
+                f"expected one camera a pose, got several of a rig in pose {pose}; "
+                "give each its own poses: import the photographs without a rig"
+            )
         lens = intrinsics[views[pose][0]["intrinsicId"]]
         transform = item["pose"]["transform"]
         rotation = np.array(transform["rotation"], float).reshape(3, 3).T
@@ -146,7 +152,9 @@ def sfm_data_of(
         if key not in lenses:
             lens = _scaled_lens(originals[key[0]], camera.size, size)
             if any(number == key[0] for number, _ in lenses):  # the same, another size
-                lens["intrinsicId"] = str(int(key[0]) + len(lenses))
+                taken = {*originals, *(x["intrinsicId"] for x in lenses.values())}
+                numbers = map(str, itertools.count(int(key[0]) + 1))
+                lens["intrinsicId"] = next(n for n in numbers if n not in taken)
             lenses[key] = lens
         number = lenses[key]["intrinsicId"]
         view |= {"intrinsicId": number, "width": str(size[0]), "height": str(size[1])}

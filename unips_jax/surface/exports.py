@@ -145,6 +145,7 @@ def _over_jumps(
     depth: np.ndarray, mesh: Mesh, scale: Scale, cut: float, step: int
 ) -> np.ndarray:
     """Which triangles of a grid lie where neighbouring pixels' depths jump: `[F]`."""
+    depth = _filled(depth, np.isnan(depth))  # parts beside a gap may lie apart
     pixel = scale.pixel_size if scale.focal is None else depth / scale.focal
     most = np.broadcast_to(cut * pixel, depth.shape)
     across, down = np.zeros((2, *depth.shape), bool)
@@ -224,9 +225,10 @@ def _stretched(values: np.ndarray, step: int, size: tuple[int, int]) -> np.ndarr
 
 
 def _tangents(normals: np.ndarray) -> np.ndarray:
-    """Unit vectors to the right, in the planes of the normals."""
-    along = np.array([1.0, 0.0, 0.0]) - normals[..., :1] * normals
-    return _unit(along)
+    """Unit vectors along the rows of the image, in the planes of the normals."""
+    # As programs derive them from texture coordinates: Blender reads no others.
+    towards = np.maximum(normals[..., 2], 1e-3)
+    return _unit(np.stack([towards, 0 * towards, -normals[..., 0]], -1))
 
 
 def _relative(normals: np.ndarray, around: np.ndarray) -> np.ndarray:

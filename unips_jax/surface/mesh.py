@@ -176,12 +176,16 @@ def _simplified(shape: Any, max_faces: int) -> Any:
             "--max-faces: expected the package fast-simplification, which is not "
             f"installed; {install_hint('mesh')}"
         ) from None
+    # Its thresholds are lengths: of meshes in other units it would make others.
+    some = shape.faces[:: max(1, len(shape.faces) // 100_000)]
+    sides = shape.vertices[some[:, 0]] - shape.vertices[some[:, 1]]
+    length = float(np.median(np.linalg.norm(sides, axis=-1))) or 1.0
     vertices, faces = fast_simplification.simplify(
-        np.asarray(shape.vertices, np.float32),
+        np.asarray(shape.vertices / length, np.float32),
         np.asarray(shape.faces, np.int32),
         target_count=max_faces,
     )
-    return trimesh.Trimesh(vertices, faces, process=False)
+    return trimesh.Trimesh(vertices * length, faces, process=False)
 
 
 def _nearest(known: np.ndarray, asked: np.ndarray) -> np.ndarray:
