@@ -29,7 +29,7 @@ class Scale(NamedTuple):
 
     focal: float | None = None  # in pixels; None for an orthographic camera
     pixel_size: float = 1.0  # side of a pixel in depth's unit; orthographic only
-    unit: str = "pixels"  # of the depth; m, cm and mm are known
+    unit: str = "pixels"  # of the depth; m, cm, mm, or pixels: unknown
 
 
 _UNKNOWN = Scale()
