@@ -90,7 +90,7 @@ def test_lights_on_disk_have_kinds(tmp_path):
     """The lamp beside even light: its direction, its share, its kind."""
     images = photographs(0.4)
     names = [f"{index}.png" for index in range(5)]
-    shares = np.float32([0.9, 0.5, 0.3, 0.25, 1.0])
+    shares = np.float32([0.75, 0.5, 0.25, 0.2, 1.0])
     # As if surroundings from above had drawn the mean of all light upwards.
     means = DIRECTIONS * shares[:, None] + [0, 0.3, 0]
     options = FolderOptions(lights=True)

@@ -26,8 +26,8 @@ from unips_jax.lighting.light_fit import (
     strips,
 )
 
-# Kinds of light, and the largest share of a lamp.
-_KINDS = {"surroundings": 0.25, "both": 0.75, "lamp": 1.0}
+# Kinds of light, and the least share of a lamp.
+_KINDS = {"lamp": 0.75, "both": 0.25, "surroundings": 0.0}
 _SAMPLE = 20000
 _BRIGHT = 0.8  # base colour that the brightest percent is brought to
 
@@ -62,11 +62,13 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
     }
     if lights.lamp_shares is not None:
         for photograph, share in zip(photographs, lights.lamp_shares, strict=True):
-            photograph["kind"] = next(k for k, most in _KINDS.items() if share <= most)
+            photograph["kind"] = next(
+                k for k, least in _KINDS.items() if share >= least
+            )
             photograph["lamp_share"] = _rounded(share)
         content["conventions"] |= {
-            "kind": "lamp, surroundings or both: above three quarters, below one "
-            "quarter of the light from a lamp, or between",
+            "kind": "lamp, both or surroundings: three quarters of the light from a lamp "
+            "or more, one quarter or more, or less",
             "lamp_share": "of the power of all light, 0 to 1",
         }
     if lights.near is not None:
