@@ -111,6 +111,7 @@ def test_lights_on_disk_have_kinds(tmp_path):
     assert [light["kind"] for light in lights] == kinds
     assert [light["lamp_share"] for light in lights] == pytest.approx(shares)
     towards = np.array([light["direction"] for light in lights])
-    assert angles(towards, DIRECTIONS).max() < 0.1
+    off = angles(towards, DIRECTIONS)
+    assert off[shares >= 0.25].max() < 0.1 < off[3]
     assert angles(np.array([x["direction"] for x in before]), DIRECTIONS).max() > 10
     assert len(read_rig(tmp_path).directions) == 5

@@ -67,8 +67,8 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
             )
             photograph["lamp_share"] = _rounded(share)
         content["conventions"] |= {
-            "kind": "lamp, both or surroundings: three quarters of the light from a lamp "
-            "or more, one quarter or more, or less",
+            "kind": "lamp, both or surroundings: a lamp gives three quarters of the "
+            "light or more, one quarter or more, or less",
             "lamp_share": "of the power of all light, 0 to 1",
         }
     if lights.near is not None:
