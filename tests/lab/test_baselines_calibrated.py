@@ -7,6 +7,7 @@ import pytest
 
 from unips_jax.baselines import calibrated, constant, pixels
 from unips_jax.baselines.method import Lights, Observed, Unsupported
+from unips_jax.evaluation.scores import error_map
 from unips_jax.metrics import mean_angular_error_deg
 
 METHODS = {
@@ -229,6 +230,19 @@ def test_lengths_of_directions_do_not_matter():
     images, mask = np.ones((4, 2, 2, 3), np.float32), np.ones((2, 2), bool)
     found, _ = calibrated.check_lights("woodham", Observed(images, mask, longer))
     np.testing.assert_allclose(found, lights.directions, atol=1e-12)
+
+
+def test_values_kept_of_lights_in_a_plane_leave_no_normal_open():
+    """A cross of six lamps: of four in a row any normal has the same shading."""
+    normals, mask, albedo = cap(41)
+    angles = np.deg2rad([-50, -25, 25, 50])
+    row = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], -1)
+    cross = np.concatenate([row, row[[0, 3]][:, [1, 0, 2]]])
+    lights = Lights(cross, np.ones((6, 3)))
+    observed = Observed(render(normals, albedo, lights), mask, lights=lights)
+    for method in (calibrated.woodham(keep=(0.2, 0.8)), calibrated.woodham(shadow=0.3)):
+        error = error_map(method(observed), normals)[mask]
+        assert np.quantile(error, 0.99) < 25 and error.mean() < 3, error.mean()
 
 
 def test_ranks_begin_with_the_darkest():

@@ -108,6 +108,16 @@ def test_resolved(resolve, paint, limit):
     assert max(errors) < limit
 
 
+@pytest.mark.parametrize("depth", [1.0, 1.05, 1.2, 2.0])
+def test_entropy_knows_one_paint_from_lengths_that_hardly_differ(depth):
+    """Normals of one albedo, whose third components are known up to a factor."""
+    normals = np.random.default_rng(0).normal(size=(3000, 3))
+    normals[:, 2] = 1.2 * abs(normals[:, 2])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    found = bas_relief.by_entropy(normals * [1, 1, depth])
+    np.testing.assert_allclose(found, [0, 0, 1 / depth], atol=0.02)
+
+
 def test_shadows_cost_accuracy_but_not_the_shape():
     normals, mask, albedo = bumpy(96, paint="one")
     images = render(normals, albedo, lights_around(24, slant=65.0))

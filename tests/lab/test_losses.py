@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_networks import SMALL, lively_network, lively_weights
+from small_networks import SHALLOW_OURS, SMALL, lively_network, lively_weights
 
 from unips_jax.models.network import UniversalNetwork
 from unips_jax.training import loss as losses
@@ -137,6 +137,26 @@ def test_the_frame_is_cropped_from_the_image(grid_loss):
     expected = loss(*square, frame="image")
     np.testing.assert_allclose(loss(*wide, frame="mask"), expected, rtol=1e-5)
     assert abs(loss(*wide, frame="image") - expected) > 1e-3
+
+
+def test_masks_count_where_they_are_not_zero():
+    """As `estimate_normals` takes them: those of files hold 255."""
+    network = lively_network(SHALLOW_OURS)
+    rng = np.random.default_rng(0)
+    images = jnp.asarray(rng.random((1, 2, 32, 32, 3), np.float32))
+    mask = jnp.zeros((1, 32, 32), bool).at[:, 5:27, 9:24].set(True)
+    normals = jnp.where(mask[..., None], jnp.float32([0.6, 0, 0.8]), 0)
+    options = losses.LossOptions(num_pixels=20, frame="mask", grid_loss=False)
+    found = [
+        losses.training_loss(
+            network,
+            losses.Objects(images, given, normals),
+            jax.random.split(jax.random.key(1), 1),
+            options,
+        )[0]
+        for given in (mask, 255 * mask.astype(jnp.float32))
+    ]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
 
 
 @pytest.mark.parametrize("grid_loss", [True, False])

@@ -68,6 +68,13 @@ def test_what_is_mirrored_gives_mirrored_normals(photographs):
     np.testing.assert_allclose(turned[:, ::-1] * mirror, normals, atol=2e-5)
 
 
+def test_networks_of_half_precision_take_lights_too(photographs):
+    images, mask, lights = photographs
+    half = jax.tree.map(lambda x: x.astype(jnp.bfloat16), network())
+    normals = estimate_normals(half, images, mask, lights=lights)
+    assert np.isfinite(normals).all()
+
+
 def test_gradients_by_lights_are_finite(photographs):
     images, mask, lights = photographs
     lights = jnp.asarray(lights).at[1].set(0)

@@ -70,6 +70,19 @@ def test_stored_values_and_padding_do_not_matter():
     np.testing.assert_allclose(same.colors, lights.colors, rtol=1e-2)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_pixel_without_a_value_does_not_count(value):
+    images = photographs()
+    lights = estimate_lights(images, NORMALS, MASK)
+    images[0, 20, 20, 0] = value
+    found = estimate_lights(images, NORMALS, MASK)
+    assert angles(found.directions, lights.directions).max() < 0.1
+    np.testing.assert_allclose(found.colors, lights.colors, rtol=1e-2)
+    images[1] = value
+    with pytest.raises(ValueError, match="images: expected some finite pixels, got"):
+        estimate_lights(images, NORMALS, MASK)
+
+
 def test_one_photograph_has_a_light():
     grey = np.where(MASK[..., None], photographs()[:1] / texture(), 0)
     lights = estimate_lights(grey.astype(np.float32), NORMALS, MASK)

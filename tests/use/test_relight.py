@@ -186,6 +186,42 @@ def test_derivatives_are_finite_and_true():
         assert slope == pytest.approx(expected, rel=0.02, abs=1e-5)
 
 
+def test_materials_without_a_surface_have_no_say_in_derivatives():
+    inside = jnp.any(NORMALS != 0, -1)
+    color = jnp.where(inside[..., None], jnp.float32([0.5, 0.4, 0.3]), jnp.nan)
+    rough = jnp.where(inside, 0.5, jnp.nan)
+
+    def total(direction, harmonics):
+        lights = DistantLights(direction[None], jnp.ones((1, 3)))
+        return relight(NORMALS, Materials(color, rough), lights, harmonics).sum()
+
+    given = jnp.array([0.3, 0.4, 0.8]), 0.1 * jnp.ones((9, 3))
+    for gradient in jax.grad(total, (0, 1))(*given):
+        assert np.isfinite(gradient).all() and (gradient != 0).any()
+
+
+def test_directions_of_lights_may_have_any_length():
+    expected = relight(NORMALS, WHITE, lamp([0.3, 0.4, 0.8]))
+    for length in (1e-25, 1e-8, 1e25):
+        found = relight(NORMALS, WHITE, lamp(length * np.float64([0.3, 0.4, 0.8])))
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_lamps_inside_shard_map():
+    kind = jax.sharding.AxisType.Auto
+    mesh = jax.make_mesh((1,), ("lamps",), axis_types=(kind,))
+    split = jax.sharding.PartitionSpec("lamps")
+
+    @jax.shard_map(mesh=mesh, in_specs=split, out_specs=split)
+    def one_by_one(directions):
+        colors = jnp.ones((1, 3))
+        return relight(NORMALS, WHITE, DistantLights(directions, colors))[None]
+
+    expected = relight(NORMALS, WHITE, lamp([0.3, 0.4, 0.8], (1, 1, 1)))
+    found = one_by_one(jnp.array([[0.3, 0.4, 0.8]]))
+    np.testing.assert_allclose(found[0], expected, atol=1e-6)
+
+
 @pytest.mark.parametrize("focal", [None, 30.0, np.float64(30)])
 @pytest.mark.parametrize("around", [None, (9, 3), (4, 8, 3)])
 def test_types_do_not_grow_with_wide_numbers(focal, around):

@@ -313,6 +313,36 @@ def test_vmap_is_the_loop_and_jit_is_eager():
         np.testing.assert_allclose(together[index], alone, rtol=1e-4, atol=1e-5)
 
 
+def test_normals_may_have_any_length():
+    normals, mask = small_surface(0)
+    expected = integrate_normals(normals, mask, rounds=2)
+    row, column = np.argwhere(np.asarray(mask))[20]
+    short = jnp.asarray(normals).at[row, column].multiply(1e-20)
+    np.testing.assert_allclose(
+        integrate_normals(short, mask, rounds=2), expected, atol=1e-4
+    )
+
+    def spread(normals):
+        return jnp.square(integrate_normals(normals, mask, rounds=2)).sum()
+
+    assert np.isfinite(jax.grad(spread)(short)).all()
+
+
+def test_inside_shard_map_without_its_check():
+    normals, mask = small_surface(0)
+    mesh = jax.make_mesh((1,), ("x",), axis_types=(jax.sharding.AxisType.Auto,))
+    split = jax.sharding.PartitionSpec("x")
+
+    @jax.shard_map(mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
+    def depth(normals, mask):
+        return integrate_normals(normals[0], mask[0], rounds=2)[None]
+
+    found = depth(jnp.asarray(normals)[None], jnp.asarray(mask)[None])
+    np.testing.assert_allclose(
+        found[0], integrate_normals(normals, mask, rounds=2), atol=1e-4
+    )
+
+
 def test_both_paths_agree():
     normals, mask, _, _ = hemisphere(48)
     pure = integrate_normals(jnp.asarray(normals), jnp.asarray(mask), rounds=1)

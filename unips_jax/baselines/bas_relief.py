@@ -40,14 +40,15 @@ def by_entropy(vectors: np.ndarray) -> np.ndarray:
     """
     some = vectors[:: -(-len(vectors) // _PIXELS)]
     lengths = np.linalg.norm(some, axis=-1)
-    width = np.ptp(lengths) / lengths.mean() / 128
+    # Of the mean albedo; the last bin is at four times it or above.
+    width = max(np.ptp(lengths) / lengths.mean() / 128, 4 / _BINS)
     points = jnp.asarray(some, jnp.float32)
     axes = [np.arange(-4, 4.01, 0.5), np.arange(-4, 4.01, 0.5), np.arange(0.25, 4, 0.5)]
     step, best = 0.5, np.array([0.0, 0.0, 1.0])
     while True:
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         grid = grid[grid[:, 2] > 0.02]
-        scores = _entropies(jnp.asarray(grid, jnp.float32), points, max(width, 1e-6))
+        scores = _entropies(jnp.asarray(grid, jnp.float32), points, width)
         best = grid[np.argmin(scores)]
         if step <= 0.01:
             return best

@@ -204,7 +204,10 @@ def _trimmed(
     used: Array = (rank >= low) & (rank < high)
     if shadow is not None:
         used &= values >= shadow * jnp.max(values)
-    used = jnp.where(jnp.sum(used) < 3, True, used)
+    # Lights in a plane, or fewer than three, leave the normal open.
+    a, b, c = _gram(directions, used.astype(values.dtype))
+    flat = jnp.dot(a, jnp.cross(b, c)) <= 1e-6 * jnp.sum(used) ** 3
+    used = jnp.where(flat, True, used)
     return _solve_weighted(values, directions, used.astype(values.dtype))
 
 

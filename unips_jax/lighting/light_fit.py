@@ -231,6 +231,10 @@ def _sample(
     pick = np.random.default_rng(0).permutation(rows.size)[:_SAMPLE]
     rows, columns = rows[pick], columns[pick]
     pixels = as_linear(images[:, rows, columns], transfer).astype(np.float64)
+    finite = np.isfinite(pixels).all((0, 2))
+    if not finite.any():
+        raise ValueError("images: expected some finite pixels, got none")
+    pixels, rows, columns = pixels[:, finite], rows[finite], columns[finite]
     normal = normals[rows, columns].astype(np.float64)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     return pixels, normal, (rows, columns)

@@ -107,17 +107,23 @@ def _relight(
     normal = normals.reshape(-1, 3)
     there = jnp.any(normal != 0, -1)
     normal = jnp.where(there[:, None], normal, jnp.float32([0, 0, 1]))
+    # What is NaN in materials where there is no surface would be in derivatives.
+    surface = Surface(
+        *(jnp.where(there, x, 0.5) for x in surface[:3]), surface.specular
+    )
     view = _view(height, width, focal).reshape(-1, 3)
     n_v = jnp.maximum(jnp.sum(normal * view, -1), 0.02)
     total = jnp.zeros((3, height * width), jnp.float32)
-    if lights is not None:
+    if lights is not None and len(lights[0]):
 
-        def add(total: Array, light: tuple[Array, Array]) -> tuple[Array, None]:
+        def add(total: ArrayLike, light: tuple[Array, Array]) -> tuple[Array, None]:
             direction, color = light
             lit = _lit(surface, normal, view, n_v, _unit(direction))
             return total + color[:, None] * lit, None
 
-        total, _ = jax.lax.scan(add, total, lights)
+        # From the first on: over devices (`jax.shard_map`) sums vary as what is added.
+        first, rest = ([x[part] for x in lights] for part in (0, slice(1, None)))
+        total, _ = jax.lax.scan(add, add(0.0, (first[0], first[1]))[0], tuple(rest))
     if environment is not None:
         total = total + _surrounded(surface, normal, view, n_v, environment)
     image = jnp.where(there, total, 0).T
@@ -157,6 +163,9 @@ def _surrounded(
 
 
 def _unit(vectors: Array) -> Array:
+    # By the largest first: the squares of very short or long ones leave float32.
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(vectors), -1, keepdims=True))
+    vectors = vectors / jnp.where(largest > 0, largest, 1.0)
     squared = jnp.sum(jnp.square(vectors), -1, keepdims=True)
     return vectors * jax.lax.rsqrt(jnp.maximum(squared, 1e-12))
 

@@ -80,7 +80,7 @@ class Consensus(nn.Module):
         if lights is not None:
             # The smallest change of the features that moves the guess as it should.
             change = moved_to_known(guess(light), lights)
-            kernel = guess.variables["params"]["kernel"]
+            kernel = guess.variables["params"]["kernel"].astype(jnp.float32)
             light = light + change @ jnp.linalg.pinv(kernel)
 
         from_light = dense(self.features, self.dtype, "from_light")(light)

@@ -65,6 +65,8 @@ def statements(
     normals = normals.astype(jnp.float32)
     inside = mask & jnp.isfinite(normals).all(-1) & (jnp.abs(normals).max(-1) > 0)
     normals = jnp.where(inside[..., None], normals, jnp.float32([0, 0, 1]))
+    # By the largest first: the square of a very short one is 0.
+    normals = normals / jax.lax.stop_gradient(jnp.abs(normals).max(-1, keepdims=True))
     normals = normals / jnp.linalg.norm(normals, axis=-1, keepdims=True)
     x, y, m = normals[..., 0], normals[..., 1], normals[..., 2]
     if focal is not None:

@@ -169,8 +169,9 @@ def training_loss(
     remat = network.config.remat
     config = dataclasses.replace(network.config, remat=remat and not on_cpu)
     # Grids and coarse targets mix neighbours: what is outside must be nothing.
-    inside = objects.mask.astype(bool)[..., None]
-    objects = objects._replace(normals=jnp.where(inside, objects.normals, 0))
+    mask = objects.mask.astype(bool)
+    normals = jnp.where(mask[..., None], objects.normals, 0)
+    objects = objects._replace(mask=mask, normals=normals)
     batch, num_images = objects.images.shape[:2]
     draws = jax.vmap(jax.random.split)(keys)  # [B, 2]
     prepare = functools.partial(_prepare, config=config, options=options)
