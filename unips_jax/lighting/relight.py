@@ -116,14 +116,16 @@ def _relight(
     total = jnp.zeros((3, height * width), jnp.float32)
     if lights is not None and len(lights[0]):
 
-        def add(total: ArrayLike, light: tuple[Array, Array]) -> tuple[Array, None]:
-            direction, color = light
-            lit = _lit(surface, normal, view, n_v, _unit(direction))
-            return total + color[:, None] * lit, None
+        def lit(direction: Array, color: Array) -> Array:
+            return color[:, None] * _lit(surface, normal, view, n_v, _unit(direction))
+
+        def add(total: Array, light: tuple[Array, Array]) -> tuple[Array, None]:
+            return total + lit(*light), None
 
         # From the first on: over devices (`jax.shard_map`) sums vary as what is added.
-        first, rest = ([x[part] for x in lights] for part in (0, slice(1, None)))
-        total, _ = jax.lax.scan(add, add(0.0, (first[0], first[1]))[0], tuple(rest))
+        directions, colors = lights
+        first = lit(directions[0], colors[0])
+        total, _ = jax.lax.scan(add, first, (directions[1:], colors[1:]))
     if environment is not None:
         total = total + _surrounded(surface, normal, view, n_v, environment)
     image = jnp.where(there, total, 0).T
