@@ -108,9 +108,8 @@ def _relight(
     there = jnp.any(normal != 0, -1)
     normal = jnp.where(there[:, None], normal, jnp.float32([0, 0, 1]))
     # What is NaN in materials where there is no surface would be in derivatives.
-    surface = Surface(
-        *(jnp.where(there, x, 0.5) for x in surface[:3]), surface.specular
-    )
+    color, rough, metallic = (jnp.where(there, x, 0.5) for x in surface[:3])
+    surface = Surface(color, rough, metallic, surface.specular)
     view = _view(height, width, focal).reshape(-1, 3)
     n_v = jnp.maximum(jnp.sum(normal * view, -1), 0.02)
     total = jnp.zeros((3, height * width), jnp.float32)
