@@ -126,7 +126,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     found: dict[str, dict[str, list[Any]]] = {}
     for case in _cases(options):
         known = (network, case.images, case.mask)
-        normals, guesses = estimate_with_lights(*known)
+        normals, guesses, _ = estimate_with_lights(*known)
         if options.confidence:
             spread = normal_spread(*known, normals)[case.inside]
             error = _angles(normals, case.normals)[case.inside]
