@@ -147,15 +147,14 @@ def test_masks_count_where_they_are_not_zero():
     mask = jnp.zeros((1, 32, 32), bool).at[:, 5:27, 9:24].set(True)
     normals = jnp.where(mask[..., None], jnp.float32([0.6, 0, 0.8]), 0)
     options = losses.LossOptions(num_pixels=20, frame="mask", grid_loss=False)
-    found = [
-        losses.training_loss(
-            network,
-            losses.Objects(images, given, normals),
-            jax.random.split(jax.random.key(1), 1),
-            options,
-        )[0]
-        for given in (mask, 255 * mask.astype(jnp.float32))
-    ]
+
+    @jax.jit
+    def loss(mask):
+        objects = losses.Objects(images, mask, normals)
+        keys = jax.random.split(jax.random.key(1), 1)
+        return losses.training_loss(network, objects, keys, options)[0]
+
+    found = [loss(jnp.float32(value) * mask) for value in (1, 255)]
     np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
 
 
