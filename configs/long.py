@@ -55,10 +55,10 @@ def get_config() -> Config:
         ),
         optim=dataclasses.replace(
             tiny.optim,
-            learning_rate=4e-4,
+            learning_rate=2e-4,
             warmup_steps=100,
             fall_steps=2500,
-            ema_decay=0.995,
+            ema_decay=0.998,
         ),
         train=dataclasses.replace(
             tiny.train, steps=14_500, seed=670, checkpoint_every=50, validate_every=2500
