@@ -39,18 +39,14 @@ def encoding(near, near_share, distant, distant_share):
 
 def test_the_lamp_is_the_one_that_gives_more_light():
     right, up = [1.0, 0, 1], [0, 2.0, 0]
-    found = guessed_lamps(
-        encoding([right, right, right], [0.9, 0.0, 0.01], [up, up, up], [0, 0.6, 0.02])
-    )
+    given = encoding([right] * 3, [0.9, 0.0, 0.01], [up] * 3, [0, 0.6, 0.02])
+    found = guessed_lamps(given)
     np.testing.assert_allclose(found.shares, [0.9, 0.6, 0.03], atol=1e-4)
     expected = np.array([right, up])
     assert angles(found.directions[:2], expected).max() < 0.1
     known = jnp.array([[0, 0, 1.0], [0, 0, 0], [0, 0, 0]])
     views = jnp.stack([known, known * jnp.array([-1, 1, 1])])
-    moved = guessed_lamps(
-        encoding([right, right, right], [0.9, 0.0, 0.01], [up, up, up], [0, 0.6, 0.02]),
-        views,
-    )
+    moved = guessed_lamps(given, views)
     assert angles(moved.directions[:1], np.array([[0, 0, 1]])).max() < 0.2
     np.testing.assert_allclose(moved.directions[1:], found.directions[1:], atol=1e-6)
 

@@ -117,7 +117,7 @@ def record(
     images = images + noise * jnp.sqrt(shot * jnp.maximum(images, 0.0) + read**2)
     images = jnp.clip(images, 0.0, 1.0)
     curved = 1 - config.linear_rate
-    # Mostly sRGB's: what remains of others is hard to tell from slopes, and flattens.
+    # Mostly sRGB's: what remains of others is hard to tell from slopes.
     weights = [config.linear_rate, 0.7 * curved, 0.2 * curved, 0.1 * curved]
     curve = draws.choice(weights)
     images = _response(images, curve, draws.uniform(1.9, 2.5))
