@@ -112,6 +112,14 @@ def _plan(options: Options) -> planning.Plan:
     _check_options(options)
     benchmark = open_benchmark(options.benchmark, options.root, objects=options.objects)
     _check_workdir(workdir, benchmark)
+    if benchmark.left_out and not options.objects:
+        first, *more = [path.name for path in benchmark.left_out]
+        others = f" and {len(more)} more" * bool(more)
+        print(
+            f"warning: {first}{others}: photographs, but no normal map named normal.*, "
+            "normals.* or Normal_gt.*: left out",
+            file=sys.stderr,
+        )
     name: Any = options.protocol or benchmark.default_protocol
     protocol = Protocol(name)
     if options.crop_size is not None:
@@ -165,7 +173,9 @@ def _evaluate_one(options: Options) -> None:
     from unips_jax.evaluation import runner
 
     plan = _plan(options)
-    for _ in runner.execute(plan, planning.tasks_of(plan), Store(options.workdir)):
+    tasks = planning.tasks_of(plan)
+    # What fails is tried, and named, once more where the tables are made.
+    for _ in runner.execute(plan, tasks, Store(options.workdir), {}):
         pass
 
 
@@ -200,14 +210,16 @@ def _evaluate(plan: planning.Plan, store: Store, typed: str, *, pictures: bool) 
 
     tasks = planning.tasks_of(plan)
     left = [task for task in tasks if not store.done(task.name)]
-    for _ in track(runner.execute(plan, left, store), "evaluating", total=len(left)):
+    failed: dict[str, str] = {}
+    finished = runner.execute(plan, left, store, failed)
+    for _ in track(finished, "evaluating", total=len(left)):
         pass
     results = Results(
         plan.benchmark.name,
         plan.protocol.label,
         {variant.label: variant.about for variant in plan.variants},
         plan.counts,
-        runner.collect(tasks, store),
+        runner.collect(plan, tasks, store, failed),
         plan.seeds,
     )
     tables = summary.tables(results)
@@ -215,7 +227,7 @@ def _evaluate(plan: planning.Plan, store: Store, typed: str, *, pictures: bool) 
     publish.write_figures(store, results)
     if plan.benchmark.name == "diligent102":
         written.append(publish.write_submissions(store, results))
-    if pictures:
+    if pictures and not failed:
         drawn = publish.make_exhibits(plan, results, store)
         exhibits = list(track(drawn, "drawing", total=len(plan.benchmark)))
         header = publish.header_of(plan, typed)
@@ -226,6 +238,14 @@ def _evaluate(plan: planning.Plan, store: Store, typed: str, *, pictures: bool) 
     print_table(table.title, table.names, table.shown)
     for path in written:
         print(f"wrote {path}")
+    if failed:
+        task = next(task for task in left if task.name in failed)
+        raise InputError(
+            f"method {task.variant.label!r} failed on "
+            f"{plan.benchmark.entries[task.index].name}: {failed[task.name]}; "
+            f"{len(failed)} of {len(tasks)} results are missing, and with them sheets "
+            "and report; the same command tries them again"
+        )
 
 
 if __name__ == "__main__":

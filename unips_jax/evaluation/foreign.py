@@ -2,7 +2,9 @@
 
 `python:package.module:factory:option=value,...` calls `factory(option=value)`, which
 returns a method: a function of one `Observed` (`unips_jax.baselines.method`) that gives
-normals. Modules are looked for in the current folder too. A package that declares
+normals. `name=TITLE` among the options is what tables call it, unless the factory has a
+`name` of its own. Modules are looked for in the current folder too. A package that
+declares
 
     [project.entry-points."unips_jax.methods"]
     mine = "package.module:factory"
@@ -13,6 +15,7 @@ has its method evaluated by its name, `-m mine:option=value`.
 import hashlib
 import importlib
 import importlib.metadata
+import inspect
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -63,6 +66,7 @@ def _made(
 ) -> Variant:
     oracle = take_oracle(options)
     make, file = _factory(request, module, factory)
+    title = "" if _takes_name(make) else str(options.pop("name", ""))
     advice = f"; {factory} is called with the options and returns the method"
     method = built(request, make, options, advice=advice)
     if not callable(method):
@@ -79,7 +83,7 @@ def _made(
     }
     first = (make.__doc__ or "").strip().split("\n")[0].rstrip(".")
     about = described(first or f"{source}, not of this package", oracle=oracle)
-    label = label_of(name, options, oracle=oracle)
+    label = label_of(title or name, {} if title else options, oracle=oracle)
     return Variant(label, key, method, about, oracle, foreign=True)
 
 
@@ -107,6 +111,13 @@ def _factory(
         raise InputError(f"method {request!r}: {module} has no function {factory!r}")
     file = getattr(loaded, "__file__", None)
     return make, None if file is None else Path(file)
+
+
+def _takes_name(make: Callable[..., Any]) -> bool:
+    try:
+        return "name" in inspect.signature(make).parameters
+    except (TypeError, ValueError):  # of what is not written in Python
+        return False
 
 
 def sources_hash(file: Path | None) -> str:

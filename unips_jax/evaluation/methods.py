@@ -79,8 +79,8 @@ def load_variants(requests: Sequence[str], unips: UnipsOptions) -> list[Variant]
     for label in labels:
         if labels.count(label) > 1:
             raise InputError(
-                f"two methods are called {label!r}; rename the weights, or give "
-                "files:DIR a ,name=..."
+                f"two methods are called {label!r}; rename the weights, or add "
+                "name=... to the options of files:DIR or python:module:factory"
             )
     return variants
 

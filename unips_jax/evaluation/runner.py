@@ -9,7 +9,9 @@ import dataclasses
 import math
 import re
 import time
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from unips_jax.evaluation.axes import errors_if_turned
 from unips_jax.evaluation.benchmarks import Item
 from unips_jax.evaluation.plan import Plan, Task, subsets_of
 from unips_jax.evaluation.protocols import Case, show, shown_normals, unit_length
-from unips_jax.evaluation.scores import Score, best_signs, from_json, score
+from unips_jax.evaluation.scores import NAMES, Score, best_signs, from_json, score
 from unips_jax.evaluation.store import Store
 from unips_jax.evaluation.variants import Variant
 from unips_jax.io.normal_axes import integrability
@@ -47,6 +49,7 @@ class Result:
     turned: Mapping[str, float] = dataclasses.field(default_factory=dict)
     # of these where the truth is withheld; see `io.normal_axes`
     integrability: float = 0.0
+    failed: bool = False  # with what is then in `unsupported`; nothing is stored
 
     @property
     def reason(self) -> str:
@@ -54,8 +57,14 @@ class Result:
         return re.sub(r"^\w+: ", "", self.unsupported)
 
 
-def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
-    """Finishes all tasks, here or in other processes; yields each when it is done."""
+def execute(
+    plan: Plan, tasks: Sequence[Task], store: Store, failed: dict[str, str]
+) -> Iterator[Task]:
+    """Finishes all tasks, here or in other processes; yields each when it is done.
+
+    Where a method that is not ours raises anything but `Unsupported`, the reason stands
+    in `failed`, by the task's name; nothing of it is stored.
+    """
     waiting = list(tasks)
     while waiting:
         left: list[Task] = []
@@ -64,7 +73,12 @@ def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
             with store.claim(task.name) as ours:
                 if ours and not store.done(task.name):
                     shown = _show(plan, task, shown)
-                    _finish(plan, task, shown, store)
+                    try:
+                        _finish(plan, task, shown, store)
+                    except Exception as error:
+                        if not task.variant.foreign:
+                            raise
+                        failed[task.name] = _reason(error)
                 finished = ours
             if finished:
                 yield task
@@ -73,6 +87,16 @@ def execute(plan: Plan, tasks: Sequence[Task], store: Store) -> Iterator[Task]:
         waiting = left
         if waiting:
             time.sleep(_POLL_S)
+
+
+def _reason(error: Exception) -> str:
+    """An exception of a method that is not ours, with its place, as one line."""
+    text = " ".join(str(error).split())
+    if isinstance(error, InputError):
+        return text
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    named = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return f"{named} ({Path(place.filename).name}, line {place.lineno})"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +158,8 @@ def _finish(plan: Plan, task: Task, shown: _Shown, store: Store) -> None:
     try:
         normals, measures = estimate(variant, case)
     except Unsupported as error:
-        record["unsupported"] = " ".join(str(error).split())
+        reason = " ".join(str(error).split())
+        record["unsupported"] = reason or "the method gave no reason"
         store.commit(task.name, record, None)
         return
     record["measures"] = _numbers(variant, measures)
@@ -161,6 +186,12 @@ def _numbers(variant: Variant, measures: Mapping[str, Any]) -> dict[str, float]:
             f"method {variant.label!r}: expected figures that are numbers, got "
             f"{measures!r:.100}"
         ) from None
+    taken = [name for name in found if name in NAMES]
+    if taken:
+        raise InputError(
+            f"method {variant.label!r}: expected figures of other names than the "
+            f"scores', got {taken[0]}; rename it"
+        )
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
@@ -194,10 +225,15 @@ def estimate(variant: Variant, case: Case) -> Estimated:
     return estimated._replace(normals=normals)
 
 
-def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
+def collect(
+    plan: Plan, tasks: Sequence[Task], store: Store, failed: Mapping[str, str]
+) -> list[Result]:
     """Reads the results of finished tasks, in their order."""
     results = []
     for task in tasks:
+        if task.name in failed:
+            results.append(_failure(plan, task, failed[task.name]))
+            continue
         record = store.load(task.name)
         results.append(
             Result(
@@ -217,3 +253,22 @@ def collect(tasks: Sequence[Task], store: Store) -> list[Result]:
             )
         )
     return results
+
+
+def _failure(plan: Plan, task: Task, reason: str) -> Result:
+    """What stands in the tables for a result that is missing."""
+    entry = plan.benchmark.entries[task.index]
+    return Result(
+        entry.name,
+        entry.tags,
+        entry.notes,
+        task.variant.label,
+        task.subset.count,
+        len(_images(plan, task)),
+        None,
+        {},
+        f"failed: {reason}",
+        task.name,
+        task.subset.seed,
+        failed=True,
+    )

@@ -13,6 +13,19 @@ VIEW_EDGES_DEG = (0, 15, 30, 45, 60, 75, 90)
 """Bins of the angle between true normal and viewer; the last one takes all above."""
 
 
+_BINS = [f"mae_seen_from_{low}_deg" for low in VIEW_EDGES_DEG[:-1]]
+NAMES = (
+    "mae_deg",
+    "median_deg",
+    *(f"below_{threshold:g}_deg_percent" for threshold in THRESHOLDS_DEG),
+    *_BINS,
+    "pixels",
+    "pixels_without_truth",
+    "pixels_without_estimate",
+)
+"""What the numbers of a score are called where each is a row."""
+
+
 class Score(NamedTuple):
     """Errors of one estimate over the object's pixels, in degrees."""
 
@@ -27,6 +40,16 @@ class Score(NamedTuple):
     view_sums: tuple[float, ...]  # sums of errors in the same bins
     zero_truth: int  # pixels whose true normal has zero length, counted as 90 degrees
     invalid: int  # pixels where the estimate is not finite or zero, counted as 90
+
+
+def numbers_of(score: Score) -> dict[str, float]:
+    """A score's numbers by name; bins of angles that are empty have none."""
+    bins = zip(score.view_sums, score.view_pixels, strict=True)
+    means = [total / pixels if pixels else None for total, pixels in bins]
+    counts = (score.pixels, score.zero_truth, score.invalid)
+    values = (score.mae, score.median, *score.within, *means, *counts)
+    named = zip(NAMES, values, strict=True)
+    return {name: value for name, value in named if value is not None}
 
 
 def error_map(estimate: np.ndarray, true: np.ndarray) -> np.ndarray:

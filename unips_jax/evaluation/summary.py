@@ -175,7 +175,8 @@ def _error(result: Result) -> Cell:
     if result.score:
         return Cell(result.score.mae)
     if result.unsupported:
-        return Cell("unsupported", note=result.reason)
+        word = "failed" if result.failed else "unsupported"
+        return Cell(word, note=result.reason)
     return Cell("truth withheld")
 
 

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import jinja2
@@ -13,8 +13,7 @@ import markupsafe
 from unips_jax.evaluation.cells import Table, Value
 from unips_jax.evaluation.figures import COLUMNS
 from unips_jax.evaluation.results import Results
-from unips_jax.evaluation.runner import Result
-from unips_jax.evaluation.scores import THRESHOLDS_DEG, VIEW_EDGES_DEG
+from unips_jax.evaluation.scores import numbers_of
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -92,28 +91,13 @@ def figures_csv(results: Results) -> bytes:
     for result in results.results:
         tags = [result.tags.get(tag, "") for tag in ("object", "lighting", "view")]
         seed = -1 if result.seed is None else result.seed
-        for name, value in _numbers(result):
+        numbers = numbers_of(result.score) if result.score else {}
+        for name, value in [*numbers.items(), *result.measures.items()]:
             head = [results.benchmark, *tags, result.label]
             rows.append([*head, result.images, seed, name, value])
     # All of an object's images may be as many as another number asked for.
     once = {tuple(row[:-1]): row for row in rows}
     return csv_text(COLUMNS, once.values()).encode()
-
-
-def _numbers(result: Result) -> Iterator[tuple[str, float]]:
-    if score := result.score:
-        yield "mae_deg", score.mae
-        yield "median_deg", score.median
-        for threshold, share in zip(THRESHOLDS_DEG, score.within, strict=True):
-            yield f"below_{threshold:g}_deg_percent", share
-        bins = zip(score.view_pixels, score.view_sums, strict=True)
-        for low, (pixels, total) in zip(VIEW_EDGES_DEG, bins, strict=False):
-            if pixels:
-                yield f"mae_seen_from_{low}_deg", total / pixels
-        yield "pixels", score.pixels
-        yield "pixels_without_truth", score.zero_truth
-        yield "pixels_without_estimate", score.invalid
-    yield from result.measures.items()
 
 
 def _breakable(text: str) -> markupsafe.Markup:

@@ -16,6 +16,7 @@ from unips_jax.baselines.method import Lights
 from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files
 from unips_jax.io.images import check_image, read_image_file, require_finite
+from unips_jax.io.normal_axes import SURE, integrability
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,12 +77,14 @@ class Benchmark(abc.ABC):
             camera is not known but published scores assumed one.
         root: the folder given.
         entries: its objects.
+        left_out: folders that hold photographs, but nothing to compare with.
     """
 
     name: ClassVar[str]
     default_protocol: ClassVar[str] = "native"
     channels: ClassVar[tuple[int, ...]] = (3,)
     crop_focal_ratio: ClassVar[float | None] = None
+    left_out: tuple[Path, ...] = ()
 
     def __init__(self, root: str | os.PathLike[str], *, objects: Sequence[str] = ()):
         """Finds the files; keeps only `objects` (entries' or objects' names) if any."""
@@ -162,7 +165,8 @@ class Benchmark(abc.ABC):
                 raise InputError(f"{path}: {image.dtype}, the others {stack.dtype}")
             stack[i] = image
         assert stack is not None  # `find` never yields an entry without images
-        return stack, None, ()
+        images, notes = at_most_one(stack, mask)
+        return images, None, notes
 
     def check(self, index: int) -> str:
         """Reads an object's files through without keeping its photographs.
@@ -247,12 +251,31 @@ class Benchmark(abc.ABC):
             )
         if zero:
             notes.append(f"{zero} true normals of zero length count as 90 degrees")
+        if integrability(normals) < -SURE:
+            notes.append(
+                "slopes of the true normals do not fit together as a surface's do: y "
+                "may point down, or x to the left, where x right, y up is expected"
+            )
         if inside[:, 2].mean() < 0:
             notes.append(
                 "on average the true normals point away from the viewer: the file may "
                 "follow another convention than x right, y up, z to the viewer"
             )
         return truth._replace(normals=normals, notes=tuple(notes))
+
+
+def at_most_one(
+    images: np.ndarray, mask: np.ndarray
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Photographs `[N, H, W, 3]`, floats above 1 divided by their largest; a note."""
+    if images.dtype.kind != "f":
+        return images, ()
+    # Methods that clip take a value of 1 for the brightest.
+    top = float(images[:, mask].max())
+    if top <= 1:
+        return images, ()
+    note = f"photographs divided by {top:g}, their largest value"
+    return images / np.float32(top), (note,)
 
 
 def distant_lights(

@@ -12,6 +12,7 @@ from unips_jax.evaluation.benchmarks.base import (
     Benchmark,
     Entry,
     Truth,
+    at_most_one,
     distant_lights,
 )
 from unips_jax.io.color import as_linear
@@ -42,7 +43,8 @@ class Folder(Benchmark):
     array in `.npy` or `.mat`) in the convention x right, y up, z to the viewer, stored
     as (n + 1) / 2 in images of 8 or 16 bits and as n else, and, where it is given,
     `mask.*`. Without a mask the object's pixels are those whose true normal has unit
-    length (to 1e-3 in 16 bits or more, to 0.05 in 8). Photographs and mask are chosen
+    length (to 1e-3 in 16 bits or more, to 0.05 in 8); of a mask, pixels without a true
+    normal are left out. Photographs and mask are chosen
     and read as by `unips estimate` (see `io.photographs`), those of 8 bits taken as
     sRGB (store linear ones in 16). An object's photographs are read whole by the check
     too. The focal length is taken from the first photograph's EXIF data, where it
@@ -58,9 +60,13 @@ class Folder(Benchmark):
         if _truth_files(self.root):
             yield self._entry(self.root)
             return
-        folders = sorted(
-            (p for p in self.root.iterdir() if p.is_dir() and _truth_files(p)),
+        inside = sorted(
+            (p for p in self.root.iterdir() if p.is_dir()),
             key=lambda p: natural_key(p.name),
+        )
+        folders = [p for p in inside if _truth_files(p)]
+        self.left_out = tuple(
+            p for p in inside if p not in folders and _holds_images(p)
         )
         if not folders:
             raise InputError(
@@ -95,6 +101,10 @@ class Folder(Benchmark):
                     f"{others[0]}: {mask.shape[1]} x {mask.shape[0]} pixels, but "
                     f"{entry.files[0].name} has {normals.shape[1]} x {normals.shape[0]}"
                 )
+            there = _true_within(mask, normals)
+            if lost := int((mask & ~there).sum()):
+                notes += (f"{lost} masked pixels have no true normal: left out",)
+                mask = there
         else:
             mask = true_pixels(normals)
         return Truth(mask, normals, lights, notes=notes)
@@ -105,12 +115,8 @@ class Folder(Benchmark):
         """Reads the photographs as `unips estimate` does, and makes them linear."""
         read = _read(entry, mask, read_image_file)
         if read.transfer == "linear":
-            # Methods that clip take a value of 1 for the brightest.
-            top = float(read.images[:, mask].max())
-            if read.images.dtype.kind != "f" or top <= 1:
-                return read.images, read.focal, ()
-            note = f"photographs divided by {top:g}, their largest value"
-            return read.images / np.float32(top), read.focal, (note,)
+            images, notes = at_most_one(read.images, mask)
+            return images, read.focal, notes
         linear = np.empty(read.images.shape, np.float32)
         for place, image in zip(linear, read.images, strict=True):
             place[...] = as_linear(image, "srgb")
@@ -138,7 +144,8 @@ def _read(entry: Entry, mask: np.ndarray, read: Callable[[Path], ImageFile]) -> 
     def read_fitting(path: Path) -> ImageFile:
         file = read(path)
         height, width = file.pixels.shape[:2]
-        if (height, width) != mask.shape:
+        # Others are compared with the first, some once they are turned as it is.
+        if path == entry.images[0] and (height, width) != mask.shape:
             raise InputError(
                 f"{path}: expected {mask.shape[1]} x {mask.shape[0]} pixels as "
                 f"{entry.files[0].name}, got {width} x {height}; remove or re-export it"
@@ -179,6 +186,20 @@ def _true_normals(path: Path) -> np.ndarray:
     values = files.read_array_normals(path)
     there = np.isfinite(values).all(axis=-1, keepdims=True)
     return np.where(there, values, 0).astype(np.float32)
+
+
+def _true_within(mask: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The masked pixels with a true normal; all, where lengths are of no normal map."""
+    length = np.linalg.norm(normals, axis=-1)
+    known = mask & (length > 0.1)
+    # Black and white of integers are no normals, but have a length of 1.7.
+    there = known & (length < 1.2)
+    usual = 2 * there.sum() > mask.sum() and 0.9 <= np.median(length[known]) <= 1.1
+    return there if usual else mask
+
+
+def _holds_images(folder: Path) -> bool:
+    return any(path.suffix.lower() in SUFFIXES for path in folder.iterdir())
 
 
 def _truth_files(folder: Path) -> list[Path]:

@@ -47,13 +47,15 @@ class PSWildTest(Benchmark):
 
     The categories of material come from `meta.json` where there is one, otherwise from
     the paper's supplement (Figures 3-52): by the object's and the material's names if
-    the folder's name holds both, else by position if a lighting has exactly 50 objects.
+    the folder's name holds both, else by position if a lighting has exactly 50 objects
+    and the folder's name is a number, or holds the name of the object in that place.
     """
 
     name = "ps-wild"
     default_protocol = "crop"
     crop_focal_ratio = 1.0  # the paper ran Variational with f = 256 on 256 x 256
     prefix = "l"
+    _sets: frozenset[Path] = frozenset()
 
     def find(self, objects: tuple[str, ...]) -> Iterator[Entry]:
         """Yields lighting by lighting, object by object."""
@@ -69,16 +71,25 @@ class PSWildTest(Benchmark):
                 "found none"
             )
         parents = sorted(groups, key=lambda p: (_ORDER.get(_lighting(p), 9), str(p)))
+        self._sets = frozenset(map(self._set_of, parents))
         for parent in parents:
             for position, folder in enumerate(groups[parent]):
                 if not objects or set(objects) & set(self._named(folder)):
                     yield self._entry(folder, position, len(groups[parent]))
 
+    def _set_of(self, parent: Path) -> Path:
+        """Where a lighting's folder lies, from the root."""
+        return parent.relative_to(self.root).parent
+
     def _named(self, folder: Path) -> tuple[str, str]:
         """The names of the object and of its entry."""
         name = folder_name(folder)
         parent = folder.parent.relative_to(self.root).as_posix()
-        return name, (Path(unicode_name(parent)) / name).as_posix()
+        entry = (Path(unicode_name(parent)) / name).as_posix()
+        if len(self._sets) > 1:  # which may have objects of one name
+            place = unicode_name(self._set_of(folder.parent).as_posix())
+            name = (Path(place) / name).as_posix()
+        return name, entry
 
     def _entry(self, folder: Path, position: int, count: int) -> Entry:
         photographs = tuple(photographs_of(folder, self.prefix))
@@ -150,7 +161,8 @@ def _materials(folder: Path, position: int, count: int) -> dict[str, str]:
     named = [r for r in manifest() if r["object"] in stem and r["material"] in stem]
     # "explosion-blue" is also part of "explosion-blue-1": the longest name is meant.
     named.sort(key=lambda row: -len(row["object"] + row["material"]))
-    row = named[0] if named else manifest()[position] if count == 50 else None
-    if row is None:
-        return {}
-    return {"category": row["category"], "material": row["material"]}
+    if not named and count == len(manifest()):
+        placed = manifest()[position]
+        if folder.stem.isdigit() or placed["object"] in stem:
+            named = [placed]
+    return {k: named[0][k] for k in ("category", "material")} if named else {}
