@@ -92,12 +92,23 @@ def main(argv: Sequence[str] | None = None) -> None:
     from unips_jax.training.loop import train
 
     start = time.monotonic()
-    state = train(
-        options.fields,
-        options.workdir,
-        init_weights=options.init_weights,
-        restarts=restarts,
-    )
+    try:
+        state = train(
+            options.fields,
+            options.workdir,
+            init_weights=options.init_weights,
+            restarts=restarts,
+        )
+    except (MemoryError, RuntimeError) as error:
+        text = str(error)
+        if not (
+            isinstance(error, MemoryError) or text.startswith("RESOURCE_EXHAUSTED")
+        ):
+            raise
+        raise InputError(
+            "out of memory: give --mesh.microbatches 2 or more, or --model.remat, and "
+            f"the same command goes on from the last checkpoint ({text.strip():.100})"
+        ) from None
     if restarts.due:
         restarts.start()
     minutes = (time.monotonic() - start) / 60

@@ -111,7 +111,7 @@ def test_bad_input_is_named(tmp_path):
     check_input(parts, SimpleNamespace(size=2))
     with pytest.raises(InputError, match=r"--mesh\.microbatches 4: .* the 2 objects"):
         check_input(parts, SimpleNamespace(size=4))
-    scenes = dataclasses.replace(CONFIG.data, source="scenes")
+    scenes = dataclasses.replace(CONFIG.data, source="scenes", root="")
     with pytest.raises(InputError, match="--workdir .*file: cannot be a folder"):
         loop.train(dataclasses.replace(CONFIG, data=scenes), file)
     too_many = MeshConfig(fsdp=2 * jax.device_count())
@@ -283,7 +283,7 @@ def test_the_best_weights_are_those_of_the_lowest_error(tmp_path, monkeypatch):
 
 def test_weights_of_a_run_whose_checkpoints_are_gone_stay(tmp_path):
     (tmp_path / "best.safetensors").write_bytes(b"mine")
-    scenes = dataclasses.replace(CONFIG.data, source="scenes")
+    scenes = dataclasses.replace(CONFIG.data, source="scenes", root="")
     config = dataclasses.replace(CONFIG, data=scenes, model=SMALL_OURS)
     with pytest.raises(InputError, match=r"checkpoints beside its best\.safetensors"):
         loop.train(config, tmp_path)

@@ -2,7 +2,9 @@
 
 A folder `X.data/` holds linear photographs, `0*` for training or `L*` for tests,
 `normal.tif`, 16 bit, see `io.normals`, and what is ours: `mask.png` and `meta.json`.
-The object is where | 1 - |n| | < 1e-3. `baseColor.tif`, `roughness.tif`, `metal.tif`
+The object is where | 1 - |n| | < 1e-3, and within the mask if there is one. Photographs
+that a display's curve is certain of, by their format or a tag, are refused.
+`baseColor.tif`, `roughness.tif`, `metal.tif`
 and `depth.exr`, where they are there, are never read.
 
 `meta.json` may hold `seed`, `size`, `light`, `shape`, `material`, `category`; `focal`,
@@ -27,7 +29,13 @@ import numpy as np
 from unips_jax.errors import InputError
 from unips_jax.io.color import as_float
 from unips_jax.io.door import write_json
-from unips_jax.io.images import read_image, write_exr, write_image
+from unips_jax.io.images import (
+    read_image_file,
+    require_finite,
+    write_exr,
+    write_image,
+)
+from unips_jax.io.masks import read_mask
 from unips_jax.io.naming import in_order
 from unips_jax.io.normals import encode_normals, read_normals, true_pixels
 from unips_jax.io.results import UNSEEN, appearing_at_once
@@ -38,6 +46,7 @@ META, NORMALS, MASK = "meta.json", "normal.tif", "mask.png"
 _EARLIER = (
     "L_[0-9]*.png [0-9]*.tif baseColor.tif roughness.tif metal.tif depth.exr".split()
 )
+_FOR_DISPLAYS = ("JPEG", "HEIC", "AVIF")  # values are never linear
 FRAME_MM = 36.0  # the frame's side that focal lengths in mm refer to
 
 
@@ -127,7 +136,7 @@ def write_folder(
     Args:
         folder: `X.data`.
         images: `[H, W, 3]` each, linear, 1 becomes 65535.
-        mask: `[H, W]` bool.
+        mask: `[H, W]`, bool, or numbers that are 0 outside the object.
         normals: `[H, W, 3]`, unit inside the mask.
         facts: for `meta.json`, numbers and arrays too.
         maps: of the material in [0, 1], `[H, W]` or `[H, W, 3]`, kept as 16-bit TIFF
@@ -139,7 +148,7 @@ def write_folder(
         InputError: if the folder holds files, but no `meta.json` of this function: it
             is somebody's own.
     """
-    folder = Path(folder)
+    folder, mask = Path(folder), np.asarray(mask).astype(bool)
     own = folder.is_dir() and {path.name for path in folder.iterdir()} - UNSEEN
     meta = read_meta(folder)
     if own and not {"files", "light"} & meta.keys():
@@ -216,6 +225,11 @@ def _find_files(folder: Path, min_images: int) -> TrainingObject:
     if not normals.is_file():
         raise InputError(f"{normals}: expected the object's true normals, found none")
     photographs = tuple(photographs_of(folder, "0L"))
+    if not photographs:
+        raise InputError(
+            f"{folder}: expected photographs named 0* or L*, such as L_00.png, found "
+            "none; rename them, or write the folder by unips_jax.training.write_folder"
+        )
     if len(photographs) < min_images:
         raise InputError(
             f"{folder}: expected at least {min_images} photographs 0* or L*, found "
@@ -237,8 +251,20 @@ def read_object(
     """
     normals = read_normals(files.normals)
     mask = true_pixels(normals)
+    given = files.normals.with_name(MASK)
+    if given.is_file():
+        inside = read_mask(given)
+        if inside.shape != mask.shape:
+            raise InputError(
+                f"{given}: expected {mask.shape} pixels as in {NORMALS}, got "
+                f"{inside.shape}"
+            )
+        mask &= inside
     if not mask.any():
-        raise InputError(f"{files.normals}: expected unit normals, found no pixel")
+        raise InputError(
+            f"{files.normals}: expected unit normals (inside {MASK}, if there is one), "
+            "found no pixel"
+        )
     share = _resize(mask.astype(np.float32), size)
     small_mask = share > 0.5
     small = _resize(normals * mask[..., None], size) * small_mask[..., None]
@@ -263,7 +289,17 @@ def read_object(
 
 def _read(path: Path) -> np.ndarray:
     """A photograph `[H, W, 3]`, float32; integers become [0, 1]."""
-    image = np.maximum(as_float(read_image(path)), 0)
+    file = read_image_file(path)
+    require_finite(path, file.pixels)
+    encoding = file.encoding
+    tagged = encoding.transfer == "srgb" and encoding.rule != "8-bit values"
+    if tagged or file.header.format in _FOR_DISPLAYS:
+        raise InputError(
+            f"{path}: expected linear values, as in untagged PNG or TIFF files of 16 "
+            f"bits, got sRGB ({file.header.format}, {encoding.rule}); "
+            "unips_jax.training.write_folder writes linear ones"
+        )
+    image = np.maximum(as_float(file.pixels), 0)
     return np.broadcast_to(image, (*image.shape[:2], 3))
 
 

@@ -1,6 +1,7 @@
 """The batches of a run: scenes made on the device, PS-Wild folders, or both."""
 
 import functools
+import hashlib
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -12,9 +13,10 @@ from jax.typing import ArrayLike
 
 from unips_jax.errors import InputError
 from unips_jax.models.config import SelfCalibratingConfig
+from unips_jax.provenance import code_hash
 from unips_jax.scenes import load_meshes, render_batch
 from unips_jax.training.config import Config
-from unips_jax.training.folders import draw_num_images, folder_batches
+from unips_jax.training.folders import draw_num_images, folder_batches, names_hash
 from unips_jax.training.sharding import batch_sharding
 from unips_jax.training.step import Batch
 
@@ -60,6 +62,27 @@ def make_batches(
             yield render(step)
         else:
             yield jax.tree.map(place, _next(folders, data.workers))
+
+
+def kinds_of_batches(config: Config) -> int:
+    """How many kinds of batches there are, each of which is compiled for."""
+    data = config.data
+    mixed = data.source == "mixture" and 0 < data.scene_share < 1
+    return 2 if mixed and config.model.guesses else 1  # with lights, and without
+
+
+def data_facts(config: Config) -> dict[str, str]:
+    """Hashes of what a run learns from that its configuration does not hold."""
+    data, facts = config.data, {}
+    if data.source != "scenes":
+        facts["folders"] = names_hash(data.root, max(data.num_images))
+    if data.source != "folders":
+        facts["renderer"] = code_hash("scenes.render")
+        meshes = load_meshes(config.scenes)
+        if meshes is not None:
+            found = hashlib.blake2b(meshes.tobytes(), digest_size=8)
+            facts["meshes"] = found.hexdigest()
+    return facts
 
 
 def _next(

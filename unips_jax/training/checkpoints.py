@@ -33,6 +33,7 @@ from unips_jax.models.config_json import to_json
 from unips_jax.training.checksums import damage, write_checksums
 from unips_jax.training.config import LAST_STEP, Config
 from unips_jax.training.log import say
+from unips_jax.training.optimizer import make_schedule
 from unips_jax.training.safety import any_process
 
 # What may change between the runs of one training: where and how, not what.
@@ -74,6 +75,27 @@ def changed_fields(saved: dict[str, Any], config: Config) -> dict[str, Any]:
             if before[name] != ours[name]:
                 changed[f"{part}.{name}"] = before[name], ours[name]
     return changed
+
+
+def _jump(saved: dict[str, Any], config: Config, step: int) -> str:
+    """A line where a run of another length has another learning rate at this step."""
+    names = {field.name for field in dataclasses.fields(config.optim)}
+    known = {k: v for k, v in saved["optim"].items() if k in names}
+    before = dataclasses.replace(config.optim, **known)
+    rates = [
+        float(make_schedule(optim, steps)(step))
+        for optim, steps in (
+            (before, saved["train"]["steps"]),
+            (config.optim, config.train.steps),
+        )
+    ]
+    if abs(rates[0] - rates[1]) <= 0.01 * config.optim.learning_rate:
+        return ""
+    return (
+        f"warning: the learning rate goes from {rates[0]:.2g} to {rates[1]:.2g} here, "
+        "as the run's length or its fall was changed; to train finished weights on, "
+        "begin a run of its own with --init-weights"
+    )
 
 
 class Checkpoints:
@@ -180,6 +202,8 @@ class Checkpoints:
                 f"others ({str(error):.80}); go on with the version that wrote them, "
                 "or choose another --workdir and --init-weights"
             ) from error
+        if jump := _jump(saved, self._config, self._latest):
+            say(jump)
         return state["state"], json.loads(metadata["record"])
 
     def _steps(self) -> list[int]:

@@ -24,7 +24,7 @@ class DataConfig:
     Attributes:
         source: scenes made on the device ("scenes"), PS-Wild folders ("folders"), or a
             share of steps from each ("mixture").
-        root: the folder that holds the `X.data` folders.
+        root: the folder that holds the `X.data` folders, not of "scenes".
         scene_share: share of steps on scenes in a mixture.
         image_size: side of the training images, in pixels.
         frame: what the encoder's square surrounds: the whole "image", as in the paper,
@@ -194,7 +194,7 @@ class TrainConfig:
             true normals change within their block of 2 x 2; 0: all the same.
         differences_weight: what the differences between the pixels of a block weigh.
         log_every: steps between metric lines, each of their means since the one before.
-        checkpoint_every: steps between checkpoints.
+        checkpoint_every: steps between checkpoints; the first step has one, too.
         keep: how many checkpoints are kept.
         validate_every: steps between validations.
         validation_scenes: held-out scenes in a validation; 0: no validation.

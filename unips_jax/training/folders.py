@@ -4,6 +4,7 @@ A batch follows from the seed and its number, whatever the number of processes a
 workers, so that a resumed run reads what it would have read.
 """
 
+import hashlib
 import multiprocessing
 import os
 import threading
@@ -75,6 +76,18 @@ def folder_batches(
             worker_init_fn=_stand_apart,
         )
     return iter(iterable)
+
+
+def names_hash(root: str, min_images: int) -> str:
+    """A hash of the objects' names and numbers of photographs, wherever they lie."""
+    source = PSWildFolders(Path(root), min_images=min_images)
+    found = hashlib.blake2b(digest_size=8)
+    for index in range(len(source)):
+        files = source[index]
+        place = files.normals.parent.relative_to(root).as_posix()
+        line = f"{place} {len(files.photographs)}\n"
+        found.update(line.encode(errors="surrogateescape"))
+    return found.hexdigest()
 
 
 def _stand_apart(*_: int) -> None:

@@ -23,7 +23,7 @@ from unips_jax.models.config_json import to_json
 from unips_jax.models.network import UniversalNetwork
 from unips_jax.provenance import code_hash
 from unips_jax.scenes.draws import seeded
-from unips_jax.training.batches import make_batches
+from unips_jax.training.batches import data_facts, kinds_of_batches, make_batches
 from unips_jax.training.checkpoints import Checkpoints
 from unips_jax.training.compilation import compile_together
 from unips_jax.training.config import Config, TrainConfig
@@ -74,6 +74,7 @@ def train(
     """
     mesh = make_mesh(config.mesh)
     check_input(config, mesh)
+    facts = data_facts(config)
     workdir = Path(workdir)
     make_folder(workdir, "--workdir")
     kind = mesh.devices.flat[0].device_kind
@@ -91,33 +92,46 @@ def train(
             _refuse_to_replace(workdir)
             state = _new_state(config, init_key, abstract, init_weights)
             record: dict[str, Any] = {"best_mae_deg": None}
-            begun = {"init": init_weights and weights_hash(load_weights(init_weights))}
+            weights = init_weights and weights_hash(load_weights(init_weights))
+            begun: dict[str, Any] = {"init": weights}
         else:
             say(f"going on after step {checkpoints.latest_step()}")
             state, record = checkpoints.restore(abstract)
-            begun = {"init": record.pop("init")} if "init" in record else {}
+            begun = {k: record.pop(k) for k in ("init", "data") if k in record}
             _check_same_start(init_weights, begun)
+            _say_what_changed(begun.get("data", facts), facts)
+        begun["data"] = facts
         unlogged = record.pop("unlogged", [])
         first, steps = int(state.step), config.train.steps
         every = config.train.log_every
         log = TrainLog(workdir, first, steps, every=every, pending=unlogged, sink=sink)
         run_step = compile_together(_jitted_step(config, abstract, mesh), log.compiling)
         batches = make_batches(config, scene_key, mesh, first, log.compiling)
-        sizes: set[int] = set()
+        kinds: set[tuple[int, bool]] = set()  # of batches, seen so far
+        every_kind = len(set(config.data.num_images)) * kinds_of_batches(config)
         unchecked: tuple[int, Batch, dict[str, jax.Array]] | None = None
+        saved = True
         for step in range(first + 1, steps + 1):
-            batch = next(batches)
+            try:
+                batch = next(batches)
+            except InputError:  # a file that cannot be read: no step shall be lost
+                if unchecked is not None and jax.process_count() == 1:
+                    check_finite(*unchecked, workdir)
+                    if not saved:
+                        known = {**record, **begun, "unlogged": log.pending()}
+                        checkpoints.save(step - 1, state, known)
+                raise
             state, metrics = run_step(state, batch, step_key)
             if unchecked is not None:
                 check_finite(*unchecked, workdir)
             unchecked = (step, batch, metrics)
             checkpoints.check()
             log.step(step, metrics)
-            sizes.add(batch["images"].shape[1])
+            kinds.add((batch["images"].shape[1], "lights" in batch))
             fresh = (
                 restarts is not None
                 and not stop.is_set()
-                and sizes == set(config.data.num_images)
+                and len(kinds) == every_kind
                 and restarts.compiled_all(steps - step)
             )
             due = _due(step, config.train, stop, fresh)
@@ -131,6 +145,7 @@ def train(
             if due.checkpoint:
                 known = {**record, **begun, "unlogged": log.pending()}
                 checkpoints.save(step, state, known)
+            saved = due.checkpoint
             if due.stop:
                 say(
                     f"starting again after step {step}: steps then take less time"
@@ -163,7 +178,8 @@ def _due(
     stopping = restart or (agrees and any_process(stop.is_set()))
     return _Due(
         validation=done or step % train.validate_every == 0,
-        checkpoint=done or stopping or step % train.checkpoint_every == 0,
+        # The first step's shows a disk that is full, before much is lost.
+        checkpoint=step == 1 or done or stopping or step % train.checkpoint_every == 0,
         stop=stopping,
     )
 
@@ -223,6 +239,21 @@ def _check_same_start(init_weights: str | None, begun: dict[str, Any]) -> None:
             f"began with, {was}, got weights of hash {given}; leave it out to go on, "
             "or choose another --workdir"
         )
+
+
+def _say_what_changed(before: dict[str, str], now: dict[str, str]) -> None:
+    """Names the data that are others than those of the steps before."""
+    words = {
+        "folders": "the objects below --data.root",
+        "renderer": "the code that makes scenes",
+        "meshes": "the meshes of --scenes.mesh-file",
+    }
+    for name, value in before.items():
+        if now.get(name, value) != value:
+            say(
+                f"warning: {words[name]} changed since the checkpoint: the steps from "
+                "here are not those that an unbroken run would have taken"
+            )
 
 
 def _start_from(state: TrainState, source: str, config: Config) -> TrainState:

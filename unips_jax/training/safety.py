@@ -48,6 +48,11 @@ def check_input(config: Config, mesh: Mesh) -> None:
             "--data.root: expected the folder of the training data, got none; give "
             "it, or train on scenes with --data.source scenes"
         )
+    if data.source == "scenes" and data.root:
+        raise InputError(
+            f"--data.root {data.root!r}: expected --data.source folders or mixture "
+            "with it, got scenes, which read no folder; add one, or leave it out"
+        )
     if data.source != "scenes" and not os.path.isdir(data.root.replace("\0", "")):
         raise InputError(
             f"--data.root {data.root!r}: expected the folder of the training data, "
