@@ -210,7 +210,7 @@ def test_mixtures_compile_for_two_kinds_of_batches(source, share, model, kinds):
     assert batches.kinds_of_batches(config) == kinds
 
 
-def test_out_of_memory_is_told_what_training_has(tmp_path, monkeypatch, capsys):
+def test_out_of_memory_names_what_training_has(tmp_path, monkeypatch, capsys):
     def full(*args, **options):
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory")
 
