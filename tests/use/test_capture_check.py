@@ -277,7 +277,6 @@ def test_files_that_do_not_fit_together(folder, capsys):
     assert list(kinds) == [
         "unreadable",
         "mixed sizes",
-        "mixed orientations",
         "mixed types",
     ]
     assert kinds["mixed sizes"]["files"] == ["1.jpg"]
@@ -285,7 +284,8 @@ def test_files_that_do_not_fit_together(folder, capsys):
         "1.jpg has 200 x 160 pixels, the others 220 x 180"
         in (kinds["mixed sizes"]["text"])
     )
-    assert kinds["mixed orientations"]["files"] == ["2.jpg"]
+    (note,) = (note for note in first["notes"] if "orientation" in note)
+    assert "2.jpg; turned so that their edges fit" in note
     assert kinds["unreadable"]["files"] == ["3.jpg"]
     assert kinds["mixed types"]["files"] == ["4.png"]
 

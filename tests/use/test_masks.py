@@ -160,21 +160,47 @@ def test_what_a_jpeg_leaves_around_an_object_is_left_out(tmp_path, quality):
 
 
 def test_next_to_black_less_than_32_levels_are_left_out():
-    for level, black, kept in ((30, 0, False), (36, 0, True), (30, 4, True)):
-        brightest = np.full((5, 9), 200, np.uint8)
+    """Of white light; of a darker picture as much less."""
+    for level, black, white, kept in (
+        (30, 0, 255, False),
+        (36, 0, 255, True),
+        (30, 4, 255, True),
+        (30, 0, 150, True),
+        (12, 0, 150, False),
+    ):
+        brightest = np.full((5, 9), white, np.uint8)
         brightest[:, :3], brightest[:, 3:6] = black, level
-        lit = lit_pixels(brightest, "srgb")
+        lit = lit_pixels(brightest, "srgb", np.ones((5, 9), bool))
         assert lit[:, 6:].all() and (lit[:, 3:6] == kept).all()
         assert lit[:, :3].all() == (black > 2)
 
 
 def test_nearly_black_is_a_share_of_light_however_values_encode_it():
-    brightest = np.full((5, 9), 200, np.uint8)
+    brightest = np.full((5, 9), 255, np.uint8)
+    every = np.ones((5, 9), bool)
     brightest[:, :3], brightest[:, 3:6] = 0, 4  # 1.6 % of linear light
-    assert lit_pixels(brightest, "linear")[:, 3:].all()
-    assert not lit_pixels(brightest, "srgb")[:, 3:6].any()
+    assert lit_pixels(brightest, "linear", every)[:, 3:].all()
+    assert not lit_pixels(brightest, "srgb", every)[:, 3:6].any()
     brightest[:, 3:6] = 3
-    assert not lit_pixels(brightest, "linear")[:, 3:6].any()
+    assert not lit_pixels(brightest, "linear", every)[:, 3:6].any()
+
+
+def test_black_paint_of_photographs_that_are_dark_is_kept(tmp_path):
+    """A ball half of which is black, 2 stops underexposed, as in 16 bits."""
+    y, x = np.mgrid[-1:1:80j, -1:1:80j]
+    disc = np.hypot(x, y) < 0.8
+    z = np.sqrt(np.maximum(0.64 - x**2 - y**2, 0))
+    for bits, top in ((8, 255), (16, 65535)):
+        folder = tmp_path / str(bits)
+        for i, light in enumerate([(0.5, 0, 0.8), (-0.5, 0, 0.8), (0, 0.5, 0.8)]):
+            shade = np.maximum(np.tensordot(light, [x, y, z], 1), 0) * disc
+            linear = shade * np.where(x < 0, 0.25, 0.012)
+            values = linear if bits == 16 else srgb_encode(linear)
+            image = np.rint(values * top).astype(f"uint{bits}")
+            save(folder / f"{i}.png", np.dstack([image] * 3))
+        save(folder / "mask.png", disc.astype(np.uint8) * 255)
+        mask = read_capture(select(folder)).mask
+        assert (mask & (x >= 0)).sum() > 0.95 * (disc & (x >= 0)).sum()
 
 
 def test_dark_parts_of_an_object_are_kept(tmp_path):

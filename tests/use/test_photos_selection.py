@@ -107,8 +107,10 @@ def test_names_decide_only_between_files(tmp_path, name):
     assert selection.names == tuple(series)
     maps = ["depth_1.exr", "depth_2.exr", "normal.tif"]
     assert selection.left_out == {"a map or output, by its name": maps}
-    touch(tmp_path, "a.png")
-    assert select(tmp_path).names == ("a.png",)
+    touch(tmp_path, "a.png")  # a preview
+    assert select(tmp_path).names == tuple(series)
+    touch(tmp_path, "b.png")
+    assert select(tmp_path).names == ("a.png", "b.png")
 
 
 def test_planes_of_a_texture_map_lie_next_to_its_record(tmp_path):
@@ -263,7 +265,7 @@ def test_accents_may_be_written_as_macos_does(tmp_path):
     for given in ([str(tmp_path / "dome.lp")], ["Schädel_1: left", "Schädel_3: left"]):
         assert read_known_lights(given, selection.names).any(axis=1).all()
     names = (selection.names[1], "a.jpg", selection.names[0])
-    with pytest.raises(InputError, match="none of them for a.jpg"):
+    with pytest.raises(InputError, match="none for a.jpg"):
         read_rig(tmp_path / "dome.lp", names)
     rig = read_rig(tmp_path / "dome.lp", names[::2])
     np.testing.assert_allclose(rig, [[0.6, 0, 0.8], [0, 0, 1]], atol=1e-6)

@@ -121,8 +121,14 @@ def test_the_command_uses_them(earlier, tmp_path, network_calls, capsys):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("2\na.png 0 0 1\nb.png 1 0 1\n", r"each of the 3 photographs.* got 2, none"),
-        ("".join(f"{n}.png 0 0 1\n" for n in "abcd"), r"each of the 3 .* got 4, none"),
+        (
+            "2\na.png 0 0 1\nb.png 1 0 1\n",
+            r"each of the 3 photographs.* got 2, 0 of them",
+        ),
+        (
+            "".join(f"{n}.png 0 0 1\n" for n in "abcd"),
+            r"each of the 3 .* got 4, 0 of them",
+        ),
         ("a.png 3 4\nb.png 4 4\nc.png 5 5\n", "expected directions, three numbers"),
         ("a.png 0 0 0\nb.png 0 1 1\nc.png 0 1 1\n", "got one of length 0"),
         ("a.png 0 0 1\nnothing\n", "line 2"),

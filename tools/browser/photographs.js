@@ -3,7 +3,7 @@ import { decode } from "fast-png";
 import { Refusal } from "./text.js";
 
 const BLACK = 2; // levels of 255, see unips_jax/io/masks.py
-const NEARLY_BLACK = { srgb: 32, linear: 3 }; // both 1.4 % of light
+const NEARLY = 0.0145; // of white light
 const LEVELS_SHARE = 0.9;
 const LEVEL = 1 / 16;
 
@@ -184,6 +184,24 @@ export function brightestOfAll(files) {
   return all;
 }
 
+function lightOf(x, transfer) {
+  if (transfer === "linear") return x;
+  return x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4;
+}
+
+// The level that all but half a percent of the mask's pixels have at most.
+function whiteIn(mask, brightest) {
+  const counts = new Array(256).fill(0);
+  let inside = 0;
+  for (let i = 0; i < mask.length; i++) {
+    if (!mask[i]) continue;
+    counts[brightest[i]]++;
+    inside++;
+  }
+  let left = Math.floor(0.995 * (inside - 1));
+  return Math.max(counts.findIndex((count) => (left -= count) < 0), 0);
+}
+
 // Takes from a mask what is black in all photographs, or transparent in one.
 export function leaveOut(mask, files, brightest, transfer) {
   const { width, top } = files[0];
@@ -198,6 +216,8 @@ export function leaveOut(mask, files, brightest, transfer) {
     return mask;
   }
   // In 8 bits what is nearly black next to black is left out too.
+  const nearly = NEARLY * lightOf(whiteIn(mask, brightest) / 255, transfer);
+  const isDark = Array.from({ length: 256 }, (_, level) => lightOf(level / 255, transfer) <= nearly);
   const seen = new Uint8Array(mask.length);
   const open = [];
   for (let i = 0; i < mask.length; i++) {
@@ -212,7 +232,7 @@ export function leaveOut(mask, files, brightest, transfer) {
         for (let dx = x ? -1 : 0; dx <= (x < width - 1 ? 1 : 0); dx++) {
           const near = at + dy + dx;
           if (near < 0 || near >= mask.length || seen[near]) continue;
-          if (brightest[near] > NEARLY_BLACK[transfer]) continue;
+          if (brightest[near] > BLACK && !isDark[brightest[near]]) continue;
           seen[near] = 1;
           open.push(near);
         }
@@ -227,11 +247,7 @@ export function linearImages(files, mask, transfer, step) {
   const { width, height, top } = files[0];
   const [w, h] = [Math.floor(width / step), Math.floor(height / step)];
   const images = new Float32Array(files.length * h * w * 3);
-  const table = Float32Array.from({ length: top + 1 }, (_, value) => {
-    const x = value / top;
-    if (transfer === "linear") return x;
-    return x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4;
-  });
+  const table = Float32Array.from({ length: top + 1 }, (_, value) => lightOf(value / top, transfer));
   const share = 1 / (step * step);
   files.forEach(({ values, channels }, k) => {
     for (let y = 0; y < h * step; y++) {

@@ -19,7 +19,7 @@ _COMPARED = 2_000
 _FEW_IMAGES = 4
 _SMALL_MASK = 2_000
 _SATURATED_SHARE = 0.05
-_DARK_LEVELS = 32
+_DARK_LEVELS = {1: 32, 2: 328}  # by bytes: of sRGB, and half a percent of light
 _SAME_LIGHT = 0.05
 _SAME_IMAGE = 0.01
 _ISLAND_SHARE = 0.01
@@ -151,7 +151,8 @@ def _exposure_findings(
     clipped[white[:, 0] <= 0] = 0  # light beside the object alone
     if samples.dtype != np.float32:
         full = np.iinfo(samples.dtype).max
-        clipped[white[:, 0] < 2 * _DARK_LEVELS] = 0  # few levels: many share the last
+        few = 2 * _DARK_LEVELS[1]  # levels, of which many share the last
+        clipped[white[:, 0] < few] = 0
     shares = {
         name: float(share)
         for name, share in zip(names, clipped, strict=True)
@@ -168,7 +169,8 @@ def _exposure_findings(
         levels = {
             name: level
             for name, level in zip(names, reach, strict=True)
-            if level < _DARK_LEVELS and not any(name in f.files for f in unlit)
+            if level < _DARK_LEVELS[samples.dtype.itemsize]
+            and not any(name in f.files for f in unlit)
         }
         found += by_file(
             "underexposed",

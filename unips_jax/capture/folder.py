@@ -12,7 +12,6 @@ from unips_jax.errors import InputError
 from unips_jax.io.color import Transfer
 from unips_jax.io.formats import Encoded
 from unips_jax.io.images import MAX_PIXELS, image_header, read_bytes
-from unips_jax.io.orientation import ADVICE
 from unips_jax.io.photographs import Capture, read_capture
 from unips_jax.io.selection import Selection
 
@@ -109,10 +108,6 @@ _KINDS: dict[str, tuple[Callable[[Encoded], Hashable], str]] = {
     "mixed sizes": (
         lambda h: f"{h.width} x {h.height} pixels",
         "re-export them in one size, uncropped",
-    ),
-    "mixed orientations": (
-        lambda h: f"orientation {h.orientation}",
-        f"if the camera stood still, {ADVICE}",
     ),
     "mixed types": (
         lambda h: f"{h.dtype} pixels",

@@ -92,7 +92,8 @@ def _similarity(
     zero, one = np.zeros_like(x), np.ones_like(x)
     rows = np.stack([[x, -y, one, zero], [y, x, zero, one]], axis=0)
     matrix = rows.transpose(2, 0, 1).reshape(-1, 4)
-    weights = trust.copy()
+    trust = np.maximum(trust, 0)  # of a photograph without content below it
+    weights = trust
     for _ in range(20):
         root = np.repeat(np.sqrt(weights), 2)
         found = np.linalg.lstsq(

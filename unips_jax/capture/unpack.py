@@ -15,7 +15,7 @@ import tifffile
 
 from unips_jax.errors import InputError
 from unips_jax.io.color import CURVES, encoding_of, srgb_encode
-from unips_jax.io.door import new_file, write_whole
+from unips_jax.io.door import NotWritten, new_file, write_whole
 from unips_jax.io.formats.encoded import NotRead, box_transfer_code, known_code
 from unips_jax.io.formats.raster import marked_srgb
 from unips_jax.io.formats.tiff import count_pages, open_page, whole_pages
@@ -72,6 +72,11 @@ def unpacked(
             else:
                 _unpack_pages(path, folder, max_pixels)
             yield folder
+        except NotWritten as error:
+            raise InputError(
+                f"{temporary}: cannot hold what {path} unpacks to "
+                f"({error.reason}); free space there, or set TMPDIR"
+            ) from None
         except InputError as error:
             raise InputError(without_place(str(error), folder, path)) from None
 

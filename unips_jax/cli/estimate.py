@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     require_patterns(options.how.include, options.how.exclude)
     if options.where.ray:
         options.where.check()
-    jobs = _jobs(options)
+    jobs, failed = _jobs(options)
     for job in jobs:
         check_target(job.target, job.folder)
     clear_leftovers(options.output)
@@ -94,10 +94,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         reasons = spread(_estimate_one, pieces, options.where, "estimating")
         for reason in reasons.values():
             print(f"error: {reason}", file=sys.stderr)
-        return _report(list(reasons), jobs, options.output)
+        return _report([*failed, *reasons], jobs, options.output)
     start_jax()
     network = _network(options)
-    failed = []
     for job in jobs:
         try:
             estimate_folder(
@@ -111,7 +110,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         except BrokenPipeError:
             raise
         except Exception as error:
-            if len(jobs) == 1:
+            if len(jobs) + len(failed) == 1:
                 raise
             # A batch goes on, whatever befell one folder.
             text = reason_of(error) or f"{job.title}: {type(error).__name__}: {error}"
@@ -141,8 +140,9 @@ def _estimate_one(piece: tuple["_Job", Options]) -> None:
 
 def _report(failed: list[str], jobs: list["_Job"], output: Path) -> None:
     if failed:
+        every = {*failed, *(job.title for job in jobs)}
         raise InputError(
-            f"{len(failed)} of {len(jobs)} folders gave no normals: "
+            f"{len(failed)} of {len(every)} folders gave no normals: "
             f"{', '.join(failed)}; the others are in {output}"
         )
 
@@ -162,8 +162,11 @@ class _Job(NamedTuple):
         return f"{self.folder} ({self.target.name})"
 
 
-def _jobs(options: Options) -> list[_Job]:
-    """What is to be estimated: every folder, or every view of them."""
+def _jobs(options: Options) -> tuple[list[_Job], list[str]]:
+    """What is to be estimated: every folder, or every view of them.
+
+    Also the folders of several whose views cannot be told apart, which are named.
+    """
     if not options.folders:
         raise InputError("expected a folder of photographs, got none; name it")
     if options.random_weights and options.weights != "tiny":
@@ -172,12 +175,21 @@ def _jobs(options: Options) -> list[_Job]:
             "--random-weights too; leave one out"
         )
     jobs: dict[Path, _Job] = {}
-    for folder in dict.fromkeys(expanded(options.folders)):
+    failed = []
+    folders = list(dict.fromkeys(expanded(options.folders)))
+    for folder in folders:
         target = options.output / folder_name(folder)
         if options.pause is None:
             found = [_Job(folder, target, options.how)]
         else:
-            found = _views(folder, target, options.how, options.pause)
+            try:
+                found = _views(folder, target, options.how, options.pause)
+            except InputError as error:
+                if len(folders) == 1:
+                    raise
+                print(f"error: {error}", file=sys.stderr)
+                failed.append(str(folder))
+                continue
         for job in found:
             place = job.target
             if sys.platform == "darwin":  # there Bust and bust are one folder
@@ -189,7 +201,7 @@ def _jobs(options: Options) -> list[_Job]:
                     "with different -o"
                 )
             jobs[place] = job
-    return list(jobs.values())
+    return list(jobs.values()), failed
 
 
 def _views(folder: Path, target: Path, how: FolderOptions, pause: float) -> list[_Job]:

@@ -145,7 +145,12 @@ def write_extras(
         from unips_jax.lighting.ptm import fit_texture_map, write_planes, write_ptm
 
         if options.lights:
-            files.write_lights(folder, list(estimate.record["images"]), lights)
+            files.write_lights(
+                folder,
+                list(estimate.record["images"]),
+                lights,
+                orientation=estimate.record.get("exif_orientation", 1),
+            )
         if options.base_color:
             color = files.base_color(
                 images,

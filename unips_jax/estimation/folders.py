@@ -21,6 +21,7 @@ from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.reading import chosen_photographs, dark_file, read_and_look
 from unips_jax.estimation.writing import Estimate, write_estimate
 from unips_jax.io.door import write_json
+from unips_jax.io.orientation import ADVICE
 from unips_jax.io.record import (
     HashingReader,
     complete_record,
@@ -233,6 +234,11 @@ def estimate_selection(
     looked = read_and_look(selection, options, reader, verbose=verbose)
     capture, warnings = looked.capture, looked.warnings
     images, mask, transfer = capture.images, capture.mask, capture.transfer
+    if rig is not None and options.lights_from is not None:
+        from unips_jax.lighting.rig import turned_to
+
+        rig = turned_to(rig, options.lights_from, capture.exif_orientation)
+    warnings += _of_lists(options, capture.exif_orientation)
     made_from = _input_record(selection, network, options, reader)
     focal = None
     if options.focal is not None:
@@ -299,6 +305,19 @@ def _known_lights(selection: Selection, options: FolderOptions) -> np.ndarray | 
     from unips_jax.lighting.known import read_known_lights
 
     return read_known_lights(options.known_lights, selection.names)
+
+
+def _of_lists(options: FolderOptions, orientation: int) -> list[str]:
+    """A warning where EXIF turns photographs whose lights a list gives."""
+    given = [str(options.lights_from or ""), *options.known_lights]
+    lists = [name for name in given if name.lower().endswith(".lp")]
+    if orientation == 1 or not lists:
+        return []
+    return [
+        f"directions of {lists[0]} are taken as in the photographs as shown, which "
+        f"EXIF turns (orientation {orientation}); if they were made for the files as "
+        f"stored, {ADVICE}"
+    ]
 
 
 def _check_use_of_lights(named: NamedNetwork) -> None:

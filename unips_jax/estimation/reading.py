@@ -91,6 +91,7 @@ def read_and_look(
     findings = check_capture(capture, selection.names, motion=motion, taken=taken)
     facts["findings"] = [finding.record() for finding in findings]
     facts["orientation"] = capture.orientation
+    facts["exif_orientation"] = capture.exif_orientation
     facts["mask_contrast"] = capture.mask_contrast
     facts["mask_rule"] = capture.mask_rule
     facts["mask_suggested"] = bool(capture.mask_rule)

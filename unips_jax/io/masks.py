@@ -65,16 +65,20 @@ def mask_box(mask: np.ndarray, margin: int = 0) -> tuple[slice, slice]:
     return box[0], box[1]
 
 
-def lit_pixels(brightest: np.ndarray, transfer: Transfer) -> np.ndarray:
+def lit_pixels(
+    brightest: np.ndarray, transfer: Transfer, mask: np.ndarray
+) -> np.ndarray:
     """Where photographs are neither black, in 8 bits, nor nearly so next to it.
 
-    Nearly is up to 1.4% of white light. `brightest` is `[H, W]`, the largest value over
-    photographs and colours.
+    Nearly is up to 1.4% of white, the brightest 0.5% of the mask `[H, W]`, in light.
+    `brightest` is `[H, W]`, the largest value over photographs and colours.
     """
     if brightest.dtype != np.uint8:
         return brightest > 0
     black = brightest <= _BLACK
-    return _without(black | (as_linear(brightest, transfer) <= _NEARLY_SHARE), black)
+    white = np.percentile(brightest[mask], 99.5, method="lower")
+    nearly = _NEARLY_SHARE * as_linear(white, transfer)
+    return _without(black | (as_linear(brightest, transfer) <= nearly), black)
 
 
 def lit_without_mask(brightest: np.ndarray, transfer: Transfer) -> np.ndarray:

@@ -15,6 +15,8 @@ VIDEO_SUFFIXES = frozenset(
     ".mp4 .mov .m4v .avi .mkv .webm .mts .m2ts .mpg .mpeg .wmv .3gp".split()
 )
 
+_HEIC_SUFFIXES = (".heic", ".heif", ".hif")
+
 _BETTER = (  # of a photograph in two formats; a camera's raw file is the best
     (".jpg", ".jpeg", ".jfif", ".mpo"),
     (".heic", ".heif", ".hif", ".avif", ".webp"),
@@ -73,11 +75,13 @@ def each_once(files: list[Path], left_out: dict[str, list[str]]) -> list[Path]:
 
     def worth(file: Path) -> tuple[int, int]:
         suffix = file.suffix.lower()
-        if suffix in RAW_SUFFIXES:
-            known = importlib.util.find_spec("rawpy") is not None
-            return most[suffix] if known else 0, len(_BETTER)
         better = [suffix in suffixes for suffixes in _BETTER]
-        return most[suffix], better.index(True) if True in better else -1
+        rank = better.index(True) if True in better else -1
+        reader = "rawpy" if suffix in RAW_SUFFIXES else ""
+        if suffix in _HEIC_SUFFIXES:
+            reader = "pillow_heif"
+        known = not reader or importlib.util.find_spec(reader) is not None
+        return most[suffix] * known, len(_BETTER) if reader == "rawpy" else rank
 
     taken = {max(alike, key=worth) for alike in stems.values()}
     for file in files:

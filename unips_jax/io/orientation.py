@@ -87,12 +87,20 @@ def as_oriented(file: ImageFile, orientation: int) -> ImageFile:
 
 def normals_as_stored(normals: np.ndarray, orientation: int) -> np.ndarray:
     """Normals `[H, W, 3]` of a photograph as shown, as those of the picture stored."""
-    stored = turned_back(normals, orientation)
-    x, y = stored[..., 0], -stored[..., 1]
+    axes = axes_as_stored(orientation).astype(normals.dtype)
+    return turned_back(normals, orientation) @ axes.T
+
+
+def axes_as_stored(orientation: int) -> np.ndarray:
+    """What turns vectors (y up) of a photograph as shown as `turned_back` its pixels.
+
+    A matrix `[3, 3]`; its transpose turns them the other way.
+    """
+    x, y, z = np.diag([1.0, -1.0, 1.0])  # y down
     y = -y if orientation in (3, 4, 7, 8) else y
     x = -x if orientation in (2, 3, 6, 7) else x
     x, y = (y, x) if orientation >= 5 else (x, y)
-    return np.stack([x, -y, stored[..., 2]], axis=-1)
+    return np.stack([x, -y, z])
 
 
 def _likeness(image: np.ndarray, other: np.ndarray) -> float:

@@ -119,10 +119,14 @@ def read_capture(
     assert stack is not None  # a selection has a file
     notes = []
     if stack.turned:
-        notes.append(
-            f"other EXIF orientation than {stack.first.path.name}: "
-            f"{', '.join(stack.turned)}; turned so that their edges fit"
+        reference = stack.first.path.name
+        note = (
+            f"other EXIF orientation than {reference}: {', '.join(stack.turned)}; "
+            "turned so that their edges fit"
         )
+        if selection.mask_file is not None:
+            note += f"; the mask must be one of {reference} as it is shown"
+        notes.append(note)
     if stack.colored:
         notes.append(
             f"colour profiles of other colours than {stack.first.path.name}'s: "
@@ -208,7 +212,7 @@ class _Stack:
         if whole:
             lit = lit_without_mask(self.brightest, self.encoding.transfer)
         else:
-            lit = lit_pixels(self.brightest, self.encoding.transfer)
+            lit = lit_pixels(self.brightest, self.encoding.transfer, self.mask)
         for kept, what in (
             (self.opaque, "that are transparent in a photograph"),
             (lit, "that are black in all photographs"),

@@ -31,7 +31,8 @@ _FIELDS: dict[str, Any] = {
     "weights": dict[str, Any],
     "surface": dict[str, Any] | None,
     "moved_back": dict[str, Any] | None,
-    "orientation": int,  # by EXIF, 1 to 8
+    "orientation": int,  # by EXIF, 1 to 8; of HEIC 1, as every program turns it
+    "exif_orientation": int,  # of HEIC, too
     "warnings": list[str],
     "width": int,
     "height": int,

@@ -4,7 +4,8 @@ What is taken: in a folder `X.data` (the authors' layout) the images `L*`, or el
 elsewhere every image file. Not a normal, depth or material map, a mask, ground truth or
 this package's own output, by their names (`is_map`; `plane_0.jpg` to `plane_5.jpg` next
 to its records), and never hidden files. Names decide only between files: if they leave
-none, a numbered series with such a word in its name (`metal_bowl_0.png`, ...) is taken.
+none, or one beside three or more, a numbered series with such a word in its name
+(`metal_bowl_0.png`, ...) is taken.
 Patterns of the user's overrule names. An RTI's list of lights (.lp) names the
 photographs; one in two formats counts once. Files are in the natural order of their
 names (2 before 10); whatever is left out is listed with its reason.
@@ -48,6 +49,7 @@ _MAP_ONLY = re.compile(
     rf"(?:{_MAP_WORDS}|albedo|shading|sheet|gt|[\W\d_])*", re.IGNORECASE
 )
 
+_SERIES = re.compile(r"\d+")  # what differs
 _PLANE = re.compile(r"plane_[0-5]\.jpg")  # of a texture map, or of a toy plane
 _PLANES_OF = {"info.json", "normals.json"}
 
@@ -250,10 +252,14 @@ def _by_name(
     own = any(entry.name in _PLANES_OF for entry in entries)
     toys = [f for f in images if not own and _PLANE.fullmatch(f.name)]
     files = [file for file in images if file in toys or not is_map(file.name)]
-    files = files or series_of(images)
-    maps = [file.name for file in images if file not in files]
+    maps = [file for file in images if file not in files]
+    series = series_of([file for file in maps if not _PLANE.fullmatch(file.name)])
+    if len(series) > 2 * len(files) and len(files) < 2:  # a preview, or a dark frame
+        for file in files:
+            left_out[f"beside the series of {series[0].name}"] = [file.name]
+        files, maps = series, [file for file in maps if file not in series]
     if maps:
-        left_out["a map or output, by its name"] = maps
+        left_out["a map or output, by its name"] = [file.name for file in maps]
     if os.path.realpath(folder).endswith(".data"):
         for prefix in ("L", "0"):
             taken = [file for file in files if file.name.upper().startswith(prefix)]
@@ -283,19 +289,27 @@ def _listed(
         only = alike[0] if len(alike) == 1 else None
         found[name] = by_name.get(spelled, only)
     files = [file for file in images if file in found.values()]
-    if len(files) < 2:
+    others = [file.name for file in images if file not in files]
+    missing = [name for name, file in found.items() if file is None]
+    if len(files) < 2 or _of_another_set(len(files), missing, others):
         reason = (
             f"a list of {len(listed.names)} lights, {len(files)} of photographs here"
         )
         left_out[reason] = [path.name]
         return []
-    others = [file.name for file in images if file not in files]
     if others:
         left_out[f"not listed in {path.name}"] = others
-    missing = [name for name, file in found.items() if file is None]
     if missing:
         left_out[f"listed in {path.name}, but not there"] = missing
     return files
+
+
+def _of_another_set(found: int, missing: list[str], others: list[str]) -> bool:
+    """Whether a list is that of other photographs, of which some have names as here."""
+    # A rig's, by a camera that went on counting.
+    kinds = {_SERIES.sub("0", plain_name(name)) for name in missing}
+    alike = sum(_SERIES.sub("0", plain_name(name)) in kinds for name in others)
+    return alike > 0 and (len(missing) > found or len(missing) == alike)
 
 
 def series_of(maps: list[Path]) -> list[Path]:
@@ -306,7 +320,7 @@ def series_of(maps: list[Path]) -> list[Path]:
     groups: dict[str, list[Path]] = {}
     for file in maps:
         if not _MAP_ONLY.fullmatch(file.stem):
-            groups.setdefault(re.sub(r"\d+", "0", file.name), []).append(file)
+            groups.setdefault(_SERIES.sub("0", file.name), []).append(file)
     series = max(groups.values(), key=len, default=[])
     return series if len(series) > 1 else []
 

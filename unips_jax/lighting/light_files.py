@@ -32,8 +32,13 @@ _SAMPLE = 20000
 _BRIGHT = 0.8  # base colour that the brightest percent is brought to
 
 
-def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
-    """Writes `lights.json` and `lights.lp` into a folder that exists."""
+def write_lights(
+    folder: Path, names: Sequence[str], lights: Lights, *, orientation: int = 1
+) -> None:
+    """Writes `lights.json` and `lights.lp` into a folder that exists.
+
+    `orientation` is EXIF's, 1 to 8, by which the photographs were turned.
+    """
     photographs: list[dict[str, Any]] = [
         {
             "file": name,
@@ -57,7 +62,9 @@ def write_lights(folder: Path, names: Sequence[str], lights: Lights) -> None:
             "harmonics": "radiance of all light in the same unit, [9][red, green, "
             "blue]: real, orthonormal, in the order 1, y, z, x, xy, yz, 3z^2 - 1, xz, "
             "x^2 - y^2",
+            "exif_orientation": "by which the photographs are turned, 1 as stored to 8",
         },
+        "exif_orientation": orientation,
         "photographs": photographs,
     }
     if lights.lamp_shares is not None:

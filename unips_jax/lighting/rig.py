@@ -14,7 +14,8 @@ import numpy as np
 from unips_jax.errors import InputError
 from unips_jax.io.light_list import read_light_list
 from unips_jax.io.naming import plain_name, rows_in_order
-from unips_jax.lighting.harmonics import harmonics
+from unips_jax.io.orientation import axes_as_stored
+from unips_jax.lighting.harmonics import harmonics as functions
 from unips_jax.lighting.light_fit import Lights
 
 _FILE = "lights.json"
@@ -35,7 +36,8 @@ def rig_file(source: Path) -> Path:
 def read_rig(source: Path, names: Sequence[str] | None = None) -> Lights | np.ndarray:
     """Lights (or a list's unit directions `[N, 3]`) of photographs, by their names.
 
-    In order if there are as many, or no names. `InputError` if a photograph has none.
+    In order if there are as many, of other names, or no names are given. `InputError`
+    if a photograph has none.
     """
     path = rig_file(source)
     if path.suffix.lower() == ".lp":
@@ -44,14 +46,45 @@ def read_rig(source: Path, names: Sequence[str] | None = None) -> Lights | np.nd
     stored = _stored(path)
     rows = _rows(stored["file"], names, source)
     values = {name: np.array(stored[name], float)[rows] for name in _SHAPES}
-    towards = harmonics(values["direction"])[..., None]
-    around = values["harmonics"] - towards * values["color"][:, None]
-    return Lights(
-        values["direction"],
-        values["directness"],
-        values["color"],
-        values["harmonics"],
-        around,
+    return _lights(**values)
+
+
+def _lights(
+    direction: np.ndarray,
+    directness: np.ndarray,
+    color: np.ndarray,
+    harmonics: np.ndarray,
+) -> Lights:
+    towards = functions(direction)[..., None] * color[:, None]
+    return Lights(direction, directness, color, harmonics, harmonics - towards)
+
+
+def turned_to(
+    rig: Lights | np.ndarray, source: Path, orientation: int
+) -> Lights | np.ndarray:
+    """A result's lights as photographs show them that EXIF turns by `orientation`.
+
+    The camera stood still: as stored, its photographs and the earlier ones lie alike. A
+    list's directions stay as they are.
+    """
+    path = rig_file(source)
+    if not isinstance(rig, Lights):
+        return rig
+    before = json.loads(path.read_bytes()).get("exif_orientation", orientation)
+    if before not in range(1, 9):
+        raise InputError(
+            f"{path}: expected an EXIF orientation, 1 to 8, got {before!r}; estimate "
+            "that capture again"
+        )
+    if before == orientation:
+        return rig
+    turn = axes_as_stored(orientation).T @ axes_as_stored(before)
+    # Of functions that are turned: any directions that tell all nine apart.
+    some = np.random.default_rng(0).normal(size=(64, 3))
+    some /= np.linalg.norm(some, axis=1, keepdims=True)
+    spun = np.linalg.pinv(functions(some @ turn.T)) @ functions(some)
+    return _lights(
+        rig.directions @ turn.T, rig.directness, rig.colors, spun @ rig.harmonics
     )
 
 
@@ -103,11 +136,13 @@ def _rows(known: Sequence[str], names: Sequence[str] | None, source: Path) -> li
     wanted = [plain_name(name) for name in names]
     if all(name in places for name in wanted):
         return [places[name] for name in wanted]
-    if len(known) == len(names):
+    alike = sum(name in places for name in wanted)
+    if len(known) == len(names) and not alike:
         return rows_in_order(known)
     missing = next(n for n, w in zip(names, wanted, strict=True) if w not in places)
     raise InputError(
         f"--lights-from {source}: expected a light for each of the {len(names)} "
-        f"photographs, by name or as many in the same order, got {len(known)}, none of "
-        f"them for {missing}"
+        "photographs by their names, or as many in their order, of other names, got "
+        f"{len(known)}, {alike} of them by name, none for {missing}; rename the "
+        "photographs, or keep a copy with their names"
     )
