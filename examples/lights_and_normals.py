@@ -1,6 +1,6 @@
 """Lights and normals together: an estimate explains the photographs, and is mended.
 
-The estimator says nothing of the lights. Under one distant lamp per photograph and a
+`estimate_normals` gives no lights. Under one distant lamp per photograph and a
 matt surface, image = albedo * max(normal . light, 0): starting at estimated normals,
 gradient descent on the photographs finds every lamp, the albedo, and normals that fit
 them, held near the estimate where photographs say little (shadows, highlights).

@@ -67,7 +67,8 @@ HEAD = """# Results
 
 Written by `python tools/results.py` from the files in `docs/results`, not by hand.
 Mean angular errors in degrees over an object's pixels, then over objects: lower is
-better. A constant normal towards the viewer is the floor; a result near it means
+better. `UniPS` are the shipped weights, of a network of our own; the paper's is named
+so. A constant normal towards the viewer is the floor; a result near it means
 that something is broken. `shared` are photographs that are not published with this
 project; `shared/diligent_dev` has every third photograph of four objects of DiLiGenT.
 """
@@ -216,7 +217,7 @@ def readme_table(shipped: str) -> str:
             )
             floors = list(dict.fromkeys(floors))  # one where they are alike
             rows.append([title, images, " / ".join(scores), " / ".join(floors)])
-    columns = "Mean angular error, degrees", "images", "UniPS", "constant normal"
+    columns = "Mean angular error, degrees", "images", "shipped", "constant normal"
     return markdown(columns, rows)
 
 

@@ -23,6 +23,7 @@ from unips_jax.version import __version__
 
 if TYPE_CHECKING:
     from unips_jax.console import cache_compilations
+    from unips_jax.errors import InputError
     from unips_jax.estimation.nnx_module import NnxNetwork
     from unips_jax.estimation.pure import estimate_normals
     from unips_jax.estimation.streaming import estimate_photographs
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from unips_jax.io.photographs import read_photographs
     from unips_jax.lighting.light_fit import estimate_lights
     from unips_jax.lighting.relight import DistantLights, Materials, relight
-    from unips_jax.metrics import angular_error_deg
+    from unips_jax.metrics import angular_error_deg, mean_angular_error_deg
     from unips_jax.models.config import ModelConfig
     from unips_jax.models.network import UniversalNetwork
     from unips_jax.scenes.render import render_scene
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DistantLights",
+    "InputError",
     "Materials",
     "ModelConfig",
     "NnxNetwork",
@@ -55,6 +57,7 @@ __all__ = [
     "integrate_normals",
     "load_results",
     "load_weights",
+    "mean_angular_error_deg",
     "read_normals",
     "read_photographs",
     "relight",
@@ -67,6 +70,7 @@ __getattr__ = attributes(
     __name__,
     {
         "console": "cache_compilations",
+        "errors": "InputError",
         "estimation.nnx_module": "NnxNetwork",
         "estimation.pure": "estimate_normals",
         "estimation.streaming": "estimate_photographs",
@@ -75,7 +79,7 @@ __getattr__ = attributes(
         "io.photographs": "read_photographs",
         "lighting.light_fit": "estimate_lights",
         "lighting.relight": "DistantLights Materials relight",
-        "metrics": "angular_error_deg",
+        "metrics": "angular_error_deg mean_angular_error_deg",
         "models.config": "ModelConfig",
         "models.network": "UniversalNetwork",
         "scenes.render": "render_scene",

@@ -18,7 +18,8 @@ def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
 
     Returns:
         Angles in degrees, `[...]`, in [0, 180]; 90 where either vector is zero, as
-        DiLiGenT's published table counts it. The gradient is 0 there, and where the
+        DiLiGenT's published table counts it, and where both are: average inside the
+        mask alone (`mean_angular_error_deg`). The gradient is 0 there, and where the
         vectors are parallel.
     """
     predicted, true = _of_unit_size(predicted), _of_unit_size(true)

@@ -141,9 +141,10 @@ def _estimate_one(piece: tuple["_Job", Options]) -> None:
 def _report(failed: list[str], jobs: list["_Job"], output: Path) -> None:
     if failed:
         every = {*failed, *(job.title for job in jobs)}
+        others = f"; the others are in {output}" * (len(failed) < len(every))
         raise InputError(
             f"{len(failed)} of {len(every)} folders gave no normals: "
-            f"{', '.join(failed)}; the others are in {output}"
+            f"{', '.join(failed)}{others}"
         )
 
 

@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         require_size(options.photograph, photograph.pixels.shape[:2], size)
     prior = None if options.prior is None else _prior(options.prior, size)
     exif = None if photograph is None else photograph.focal
-    focal = focal_of(options.focal, exif, options.photograph)
+    focal = focal_of(options.focal, exif, options.photograph, size)
     colors = _base_color(options, size)
     if photograph is not None:
         require_finite(photograph.path, photograph.pixels)

@@ -244,7 +244,7 @@ def estimate_selection(
     if options.focal is not None:
         from unips_jax.surface.outputs import focal_of
 
-        focal = focal_of(options.focal, capture.focal, selection.files[0])
+        focal = focal_of(options.focal, capture.focal, selection.files[0], mask.shape)
     record = complete_record(
         made_from, images, mask, transfer, capture.transfer_rule, warnings
     )

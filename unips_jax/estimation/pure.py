@@ -51,6 +51,7 @@ def estimate_normals(
     Args:
         network: from `load_weights`.
         images: `[N, H, W, 3]`, linear RGB, of any scale (each is divided by its mean).
+            Photographs of 8 bits are sRGB: `unips_jax.io.color.as_linear` first.
         mask: `[H, W]`, non-zero on the object; None: the whole image.
         valid: `[N]`, bool: images that count, so that sets can be padded; None: all.
             Where none counts, normals are zero.
@@ -58,7 +59,8 @@ def estimate_normals(
             towards the viewer). Lengths are how well: 1 exactly, else the cosine of the
             error to expect, 0 not at all. Not for the paper's network.
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
-        uniform_contexts: an ablation, see `with_uniform_contexts`.
+        uniform_contexts: an ablation, see `with_uniform_contexts`. It and `frame` are
+            static: under a `jit` of your own name them in `static_argnames`.
 
     Returns:
         `[H, W, 3]`: unit normals inside the mask, x right, y up, z towards the viewer;

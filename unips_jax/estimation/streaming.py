@@ -14,7 +14,7 @@ from jax import Array
 
 from unips_jax.checks import require, require_choice
 from unips_jax.estimation.programs import default_device, kept
-from unips_jax.io.color import Transfer, as_linear
+from unips_jax.io.color import Transfer, as_linear, usual_transfer
 from unips_jax.models import chunks
 from unips_jax.models.config import check_lights
 from unips_jax.models.network import (
@@ -58,7 +58,7 @@ def estimate_photographs(
     images: np.ndarray,
     mask: np.ndarray | None = None,
     *,
-    transfer: Transfer = "linear",
+    transfer: Transfer | None = None,
     frame: FrameKind = "mask",
     lights: np.ndarray | None = None,
     fast: bool = False,
@@ -76,7 +76,8 @@ def estimate_photographs(
         network: from `load_weights`.
         images: `[N, H, W, 3]`, uint8, uint16 or floats, for "srgb" in [0, 1].
         mask: `[H, W]`, not 0 on the object; None for all of the image.
-        transfer: how values encode light; "srgb" is undone first.
+        transfer: how values encode light; "srgb" is undone first. None: "srgb" of 8
+            bits, else "linear", as files without a tag are read.
         frame: see `estimate_normals`.
         lights: see `estimate_normals`.
         fast: decode the mirrored view at few pixels (one in 16 of objects of 384 pixels
@@ -111,7 +112,7 @@ def estimate_with_lights(
     images: np.ndarray,
     mask: np.ndarray | None = None,
     *,
-    transfer: Transfer = "linear",
+    transfer: Transfer | None = None,
     frame: FrameKind = "mask",
     lights: np.ndarray | None = None,
     fast: bool = False,
@@ -131,6 +132,7 @@ def estimate_with_lights(
     mask = np.ones(images.shape[1:3]) if mask is None else np.asarray(mask)
     mask = mask.astype(bool)
     check_mask(mask.shape, images.shape)
+    transfer = usual_transfer(images.dtype) if transfer is None else transfer
     require_choice("transfer", transfer, get_args(Transfer))
     network = jax.device_put(network, default_device())
     if lights is not None:

@@ -150,8 +150,12 @@ def _encoding_of_tags(dtype: np.dtype, code: int, gamma: float, srgb: bool) -> E
         curve = np.linspace(0, 1, _SAMPLES) ** (1 / gamma)
         return _encoding(dtype, curve, f"gamma of {gamma:.3g} in the file")
     name = {1: "8-bit values", 2: "16-bit values"}.get(dtype.itemsize)
-    transfer: Transfer = "srgb" if dtype == np.uint8 else "linear"
-    return Encoding(transfer, name or "floating-point values")
+    return Encoding(usual_transfer(dtype), name or "floating-point values")
+
+
+def usual_transfer(dtype: DTypeLike) -> Transfer:
+    """How values without any tag are taken to encode light: see `encoding_of`."""
+    return "srgb" if dtype == np.uint8 else "linear"
 
 
 def _of_colors(encoding: Encoding, to_srgb: np.ndarray | None) -> Encoding:

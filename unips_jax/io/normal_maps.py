@@ -22,7 +22,7 @@ from unips_jax.io.normal_values import OVERRULE, UNIT, decode_values, foreground
 from unips_jax.io.normals import NormalMap, decode_normals, read_numbers, turn_normals
 from unips_jax.io.record import print_line
 from unips_jax.io.record_schema import load_record
-from unips_jax.io.results import RECORD
+from unips_jax.io.results import RECORD, require_results
 
 _OFF = 0.25  # of a length: JPEG and resizing leave less in most pixels
 _AWAY = -0.35  # z: wide lenses see what faces away by as much
@@ -51,6 +51,7 @@ def read_normal_map(
     With `as_stored` the values are believed: nothing is mended or doubted.
     """
     if path.is_dir():
+        require_results(path)
         if (path / RECORD).exists():
             load_record(path / RECORD)
         path, convention = path / "normals.npy", "opengl"

@@ -48,10 +48,17 @@ def write_normals(
 ) -> None:
     """Writes `normals.png` and `normals.npy`, and on request `.exr` and `.mat`.
 
-    `normals` are `[H, W, 3]`, float32, unit length or 0; `normals.mat` is for MATLAB,
-    key `Normal_est`; `normal_map` is the convention of the PNG and the EXR.
+    `normals` are floats `[H, W, 3]`, unit length or 0; `normals.mat` is for MATLAB, key
+    `Normal_est`; `normal_map` is the convention of the PNG and the EXR. `ValueError`
+    for another shape, or the integers of a normal map, which `read_normals` decodes.
     """
-    normals = np.asarray(normals, np.float32)
+    normals = np.asarray(normals)
+    if normals.ndim != 3 or normals.shape[2] != 3 or normals.dtype.kind in "uib":
+        raise ValueError(
+            f"normals: expected floats [H, W, 3], got {normals.dtype} of "
+            f"{normals.shape}; read_normals decodes a normal map"
+        )
+    normals = normals.astype(np.float32)
     folder, turned = Path(folder), turn_normals(normals, normal_map)
     write_image(folder / "normals.png", encode_normals(turned))
     with new_file(folder / "normals.npy") as file:
@@ -85,8 +92,20 @@ def decode_normals(values: np.ndarray) -> np.ndarray:
 
 
 def read_normals(path: str | os.PathLike[str]) -> np.ndarray:
-    """Reads a map of 8 or 16 bits or floats: `[H, W, 3]`, float32, not normalised."""
-    return normals_of(read_image_file(Path(path), vectors=True))
+    """Reads a map of 8 or 16 bits or floats, or a `.npy` of floats.
+
+    Returns `[H, W, 3]`, float32, not normalised. `InputError` if it is none.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".npy":
+        return normals_of(read_image_file(path, vectors=True))
+    values = read_numbers(path)
+    if values.ndim != 3 or values.shape[2] != 3 or values.dtype.kind != "f":
+        raise InputError(
+            f"{path}: expected normals, floats [H, W, 3], got {values.dtype} of "
+            f"{values.shape}"
+        )
+    return values.astype(np.float32)
 
 
 def read_numbers(path: Path) -> np.ndarray:

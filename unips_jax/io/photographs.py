@@ -81,6 +81,10 @@ def read_photographs(
     `estimate_photographs(network, images, mask, transfer=transfer)` takes. `track`
     wraps the list of files, to show progress.
 
+    Returns:
+        Images `[N, H, W, 3]` in the files' type, the mask `[H, W]` and "srgb" or
+        "linear"; see `Photographs`.
+
     Raises:
         InputError: if a file cannot be used, sizes, types or orientations differ, the
             mask is empty, or an image is black or not finite inside it.

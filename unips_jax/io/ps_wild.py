@@ -135,7 +135,7 @@ def write_folder(
 
     Args:
         folder: `X.data`.
-        images: `[H, W, 3]` each, linear, 1 becomes 65535.
+        images: `[H, W, 3]` each, linear floats; 1 becomes 65535, more is burnt out.
         mask: `[H, W]`, bool, or numbers that are 0 outside the object.
         normals: `[H, W, 3]`, unit inside the mask.
         facts: for `meta.json`, numbers and arrays too.
@@ -147,6 +147,7 @@ def write_folder(
     Raises:
         InputError: if the folder holds files, but no `meta.json` of this function: it
             is somebody's own.
+        ValueError: if images are integers, or most of the object is burnt out.
     """
     folder, mask = Path(folder), np.asarray(mask).astype(bool)
     own = folder.is_dir() and {path.name for path in folder.iterdir()} - UNSEEN
@@ -183,10 +184,24 @@ def _write_files(
     name: str,
 ) -> None:
     for index, image in enumerate(images):
+        _require_linear(np.asarray(image), mask)
         write_image(folder / name.format(index), encode_linear(image))
     write_image(folder / MASK, mask.astype(np.uint8) * 255)
     inside = np.where(mask[..., None], normals, 0)
     write_image(folder / NORMALS, encode_normals(inside))
+
+
+def _require_linear(image: np.ndarray, mask: np.ndarray) -> None:
+    if image.dtype.kind != "f":
+        raise ValueError(
+            f"images: expected linear floats in [0, 1], got {image.dtype}; "
+            "unips_jax.io.color.as_linear makes them of photographs"
+        )
+    if mask.any() and np.median(image[mask]) > 1:
+        raise ValueError(
+            "images: expected linear floats in [0, 1], got values up to "
+            f"{image[mask].max():g}; divide all photographs by their largest"
+        )
 
 
 class TrainingObject(NamedTuple):

@@ -92,6 +92,20 @@ def whole_record(folder: Path) -> dict[str, Any]:
     return record
 
 
+def require_results(folder: Path) -> None:
+    """Raises InputError for a folder that holds no results of an object itself."""
+    if (folder / RECORD).is_file() or (folder / "normals.npy").is_file():
+        return
+    inside = sorted(path for path in folder.iterdir() if (path / RECORD).is_file())
+    if inside:
+        hint = f"it holds those of {len(inside)}: give {inside[0]}"
+    else:
+        hint = f"`unips estimate {folder} -o OUT` makes some of photographs"
+    raise InputError(
+        f"{folder}: expected an object's results by `unips estimate`, got none; {hint}"
+    )
+
+
 def results_of(folder: Path) -> list[Path]:
     """The files of a folder of results, there and named by its record if it has one."""
     if not (folder / RECORD).is_file():

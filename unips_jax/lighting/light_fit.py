@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unips_jax.io.color import Transfer, as_linear
+from unips_jax.io.color import Transfer, as_linear, usual_transfer
 from unips_jax.lighting.harmonics import BAND, COSINE_LOBE, harmonics
 from unips_jax.lighting.near import NearField, cosines
 
@@ -77,7 +77,7 @@ def estimate_lights(
     *,
     guesses: np.ndarray | None = None,
     near: NearField | None = None,
-    transfer: Transfer = "linear",
+    transfer: Transfer | None = None,
 ) -> Lights:
     """Estimates the light of each photograph.
 
@@ -89,7 +89,10 @@ def estimate_lights(
         guesses: `[N, 3]`, the lights' mean directions, 1 long for a lamp, shorter for
             scattered light, as `guessed_lights` gives them; None: they are fitted.
         near: where lamps that are near are, and the surface (`lighting.near`).
-        transfer: how values encode light.
+        transfer: how values encode light; None: "srgb" of 8 bits, else "linear".
+
+    Returns:
+        Directions `[N, 3]`, colours and more of each light, float64; see `Lights`.
 
     Raises:
         ValueError: if shapes do not fit, or no pixel has a normal.
@@ -212,7 +215,10 @@ def _size(off: np.ndarray) -> np.ndarray:
 
 
 def _sample(
-    images: np.ndarray, normals: np.ndarray, mask: np.ndarray | None, transfer: Transfer
+    images: np.ndarray,
+    normals: np.ndarray,
+    mask: np.ndarray | None,
+    transfer: Transfer | None,
 ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Some pixels, `[N, P, 3]`, their normals, `[P, 3]`, and places; float64."""
     if images.ndim != 4 or images.shape[-1] != 3:
@@ -230,7 +236,8 @@ def _sample(
         raise ValueError("normals: expected some inside the mask, got none")
     pick = np.random.default_rng(0).permutation(rows.size)[:_SAMPLE]
     rows, columns = rows[pick], columns[pick]
-    pixels = as_linear(images[:, rows, columns], transfer).astype(np.float64)
+    encoded = usual_transfer(images.dtype) if transfer is None else transfer
+    pixels = as_linear(images[:, rows, columns], encoded).astype(np.float64)
     finite = np.isfinite(pixels).all((0, 2))
     if not finite.any():
         raise ValueError("images: expected some finite pixels, got none")

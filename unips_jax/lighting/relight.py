@@ -83,9 +83,16 @@ def relight(
         `[H, W, 3]`, float32, linear radiance, 0 where there is no surface.
 
     Raises:
-        ValueError: if shapes do not fit.
+        ValueError: if shapes do not fit, or normals are integers, as of a normal map
+            that `read_normals` decodes.
     """
-    normals = jnp.asarray(normals, jnp.float32)
+    normals = jnp.asarray(normals)
+    if not jnp.issubdtype(normals.dtype, jnp.floating):
+        raise ValueError(
+            f"normals: expected floats of unit length, got {normals.dtype}; "
+            "read_normals decodes a normal map"
+        )
+    normals = normals.astype(jnp.float32)
     if normals.ndim != 3 or normals.shape[2] != 3:
         raise ValueError(f"normals: expected [H, W, 3], got {normals.shape}")
     surface = _surface(materials, (normals.shape[0], normals.shape[1]))

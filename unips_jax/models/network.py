@@ -290,8 +290,21 @@ def check_images(network: UniversalNetwork, shape: tuple[int, ...]) -> None:
     if len(shape) != 4 or shape[-1] != 3 or 0 in shape:
         raise ValueError(
             f"images: expected [N, H, W, 3] with at least one image and pixel, got "
-            f"{shape}; grey images must be repeated over three channels"
+            f"{shape}; {_hint(shape)}"
         )
+
+
+def _hint(shape: tuple[int, ...]) -> str:
+    """What to do about images of a wrong shape."""
+    if len(shape) == 5:
+        return "take one object at a time, or jax.vmap or jax.lax.map over them"
+    if len(shape) == 4 and shape[1] == 3:
+        return "channels come last: images.transpose(0, 2, 3, 1)"
+    if len(shape) == 4 and shape[-1] == 4:
+        return "leave alpha out: images[..., :3]"
+    if len(shape) == 3 and shape[-1] == 3:
+        return "of one image alone, images[None]"
+    return "grey images must be repeated over three channels"
 
 
 def check_mask(shape: tuple[int, ...], images: tuple[int, ...]) -> None:

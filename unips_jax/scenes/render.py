@@ -162,12 +162,19 @@ def render_scene(
         size: side of the images in pixels, a multiple of 4; static under jit.
         num_images: N; static under jit.
         config: the distribution of scenes.
-        light_kind: index into `LIGHT_KINDS` instead of a random one.
-        material: index into `MATERIALS` instead of a random one.
-        shape: index into `SHAPE_KINDS` instead of a random one.
+        light_kind: index into `unips_jax.scenes.LIGHT_KINDS`: 0 "directional",
+            "environment", "mixed", "point", 4 "area"; None: a random one.
+        material: index into `MATERIALS`: 0 "fabric", "concrete", "wood", "floor",
+            "ground", "metal", "uniform", "dark", "glossy", 9 "painted_metal".
+        shape: index into `SHAPE_KINDS`: 0 "blob", "composition", "machine", "lathe",
+            "thin", "relief", 6 "plate".
         camera: 0 for an orthographic camera, 1 for a perspective one.
         meshes: from `load_meshes`, where `mesh_rate` is above 0.
         incident: whether `Scene.incident` is worked out; static under jit.
+
+    Returns:
+        Images `[N, size, size, 3]`, linear or sRGB as a camera's, mask, true normals
+        and what was drawn; see `Scene`.
 
     Raises:
         ValueError: if `size` is not a multiple of 4, or meshes are missing.

@@ -74,6 +74,9 @@ def integrate_image(
             less than 0.01 pixels (mean of absolute values); 0 for plain least squares.
         progress: called with the fraction done.
 
+    Returns:
+        The depth `[H, W]`, and how it was found; see `Integration`.
+
     Raises:
         ValueError: if shapes or values are not as described.
     """

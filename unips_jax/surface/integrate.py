@@ -79,7 +79,8 @@ def integrate_normals(
             distances above about `prior_weight ** -0.5` pixels, the normals below.
         sharpness: of the choice between a pixel's two sides; 0 gives plain least
             squares, which bridges jumps.
-        rounds: of reweighting, after the first solve with equal weights.
+        rounds: of reweighting, after the first solve with equal weights; static: under
+            a `jit` of your own name it in `static_argnames`.
 
     Returns:
         `[H, W]`, float32, growing away from the viewer. Orthographic: in pixels, mean

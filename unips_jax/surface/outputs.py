@@ -16,9 +16,19 @@ from unips_jax.surface.mesh import CUT, mesh_of_depth, write_mesh
 
 MeshFormat = Literal["ply", "obj", "glb"]
 
+_WIDEST = 0.25  # focal length by the longer side: 127 degrees
 
-def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float | None:
-    """The focal length in pixels by `--focal`, a number or "exif"; None without it."""
+
+def focal_of(
+    asked: str | None,
+    exif: float | None,
+    file: Path | None,
+    size: tuple[int, ...] = (),
+) -> float | None:
+    """The focal length in pixels by `--focal`, a number or "exif"; None without it.
+
+    `size` is that of the picture, of which a number must not be a small part.
+    """
     if asked is None:
         return None
     if asked == "exif":
@@ -38,6 +48,13 @@ def focal_of(asked: str | None, exif: float | None, file: Path | None) -> float 
         focal = -1.0
     if not (math.isfinite(focal) and focal > 0):
         raise InputError(f"--focal: expected pixels above 0, or exif, got {asked}")
+    if size and focal < _WIDEST * max(size):
+        angle = 2 * math.degrees(math.atan(max(size) / (2 * focal)))
+        raise InputError(
+            f"--focal {asked}: expected pixels, got a lens that sees {angle:.0f} "
+            f"degrees on {max(size)} pixels; of millimetres, as for a 35 mm film, "
+            f"pixels are mm / 36 * {max(size)}; or give exif"
+        )
     return focal
 
 

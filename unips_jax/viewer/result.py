@@ -20,7 +20,7 @@ from unips_jax.io.images import (
 )
 from unips_jax.io.normal_maps import read_normal_map
 from unips_jax.io.orientation import read_as_estimated
-from unips_jax.io.results import whole_record
+from unips_jax.io.results import require_results, whole_record
 from unips_jax.surface.depth_files import read_depth
 
 
@@ -80,6 +80,8 @@ def photographs_of(
 
 def read_result(folder: Path, photographs: Path | None = None) -> Result:
     """Reads a folder of results; photographs are shown if they are as they were."""
+    if folder.is_dir():
+        require_results(folder)
     record = whole_record(folder)
     normals = read_normal_map(folder).normals
     size = normals.shape[:2]
