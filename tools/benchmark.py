@@ -81,7 +81,8 @@ def encoder_operations(config: ModelConfig, images: int) -> float:
     from unips_jax.models.network import EncoderDecoder
 
     size = config.canonical_size
-    inputs = jax.ShapeDtypeStruct((images, size, size, 4), jnp.float32)
+    shape = (images, size, size, config.input_channels)
+    inputs = jax.ShapeDtypeStruct(shape, jnp.float32)
     network = jax.eval_shape(functools.partial(random_weights, config))
 
     def run(params: Any, inputs: jax.Array) -> Any:

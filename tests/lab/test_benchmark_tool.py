@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 from reference_arrays import official_arrays
-from small_networks import SMALL, SMALL_OURS
+from small_networks import SHALLOW_OURS, SMALL, SMALL_OURS
 
 from unips_jax import estimate_normals
 from unips_jax.models.released import from_official
@@ -88,6 +88,12 @@ def test_benchmark_counts_every_layer_of_the_decoder(config):
     once = ("prediction", *pooling)  # per pixel
     each = [size for name, size in kernels.items() if not name.startswith(once)]
     assert count(config) == 2 * sum(each)
+
+
+def test_benchmark_counts_an_encoder_that_sees_details():
+    count = runpy.run_path(str(TOOLS / "benchmark.py"))["encoder_operations"]
+    fine = dataclasses.replace(SHALLOW_OURS, fine_dim=4)
+    assert count(fine, 2) > count(SHALLOW_OURS, 2) > 1e6
 
 
 @pytest.mark.parametrize(("platform", "unit"), [("darwin", 1e9), ("freebsd", 1e6)])

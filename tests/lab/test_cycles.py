@@ -17,6 +17,7 @@ import pytest
 
 from unips_jax.cli import render
 from unips_jax.cycles import assets, blender_process, run
+from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest, PSWildTrain
 from unips_jax.io.claims import claim
 from unips_jax.io.ps_wild import PSWildFolders
@@ -82,6 +83,32 @@ def contents(root):
         for p in sorted(root.rglob("*"))
         if p.is_file() and ".locks" not in p.parts
     }
+
+
+def test_a_set_goes_on_with_the_blender_that_began_it(stand_in, tmp_path, monkeypatch):
+    def rendered(count, version):
+        monkeypatch.setattr(
+            blender_process.Blender,
+            "ask",
+            lambda self, do, **more: (
+                {"blender": version} if do == "version" else asked(self, do, **more)
+            ),
+        )
+        jobs = assets.drawn_jobs(count, 5)
+        with blender_process.Blender(stand_in) as blender:
+            run.render_set(blender, jobs, SETTINGS, tmp_path / "set")
+
+    asked = blender_process.Blender.ask
+    rendered(1, "4.5.15")
+    with pytest.raises(InputError, match=r"made_by.*Blender 4\.5\.15.*Blender 5\.0\.1"):
+        rendered(2, "5.0.1")
+    # A set of an earlier version of this package does not say.
+    path = tmp_path / "set" / "settings.json"
+    record = json.loads(path.read_text())
+    del record["made_by"]
+    path.write_text(json.dumps(record))
+    rendered(2, "5.0.1")
+    assert len(list((tmp_path / "set").glob("*/*.data"))) == 6
 
 
 def test_a_set_is_what_the_readers_read(stand_in, tmp_path):

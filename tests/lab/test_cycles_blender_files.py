@@ -183,6 +183,20 @@ def run_blender(script, *arguments):
     subprocess.run(command, check=True, capture_output=True)
 
 
+def test_a_vertex_without_a_face_moves_nothing(blender, tmp_path):
+    """Scans and meshes that were cut have some."""
+    masks = []
+    stray = PLY.replace("vertex 4", "vertex 5").replace("3 0 2 1", "9 4 0\n3 0 2 1", 1)
+    for text in (PLY, stray):
+        (tmp_path / "a.ply").write_text(text)
+        shape = {"file": str(tmp_path / "a.ply")}
+        material = {"uniform": LAMBERTIAN}
+        assert blender.ask("build", shape=shape, material=material) == 4
+        blender.ask("place", rotation=[0.9, 0.3, 0.3, 0.1], focal_mm=None)
+        masks.append(run.read_truth(blender.picture("truth", size=32)).mask)
+    np.testing.assert_array_equal(*masks)
+
+
 def test_all_objects_of_a_blend_file_in_their_places(blender, tmp_path):
     file = tmp_path / "two.blend"
     run_blender(BLEND, file)

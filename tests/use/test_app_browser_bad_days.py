@@ -286,6 +286,29 @@ def test_what_is_drawn_while_pictures_load_is_shown(stand_in, tmp_path, slow):
         assert object_share(driver) == drawn
 
 
+def test_a_mask_that_another_tab_changed_is_shown(stand_in, tmp_path):
+    with browser(1200, 1100) as driver:
+        open_page(driver, stand_in.address)
+        upload(driver, written(tmp_path, SIDE))
+        until(driver, lambda: can_estimate(driver))
+        found = object_share(driver)
+        address, first = driver.current_url, driver.current_window_handle
+        driver.switch_to.new_window("tab")
+        driver.get(address)
+        until(driver, lambda: can_estimate(driver))
+        assert object_share(driver) == found < 0.9
+        press(driver, "mask-all")
+        second = driver.current_window_handle
+        driver.switch_to.window(first)
+        until(driver, lambda: object_share(driver) == 1)
+        press_visible(driver, "[data-mask-tool=erase]")
+        driver.execute_script(STROKE)
+        drawn = object_share(driver)
+        assert 0.5 < drawn < 1
+        driver.switch_to.window(second)
+        until(driver, lambda: abs(object_share(driver) - drawn) < 0.01)
+
+
 def test_a_slow_picture_of_another_object_comes_too_late(stand_in, tmp_path):
     def mask_of(key):
         file = stand_in.results / ".app" / key / "object.json"

@@ -23,8 +23,13 @@ from unips_jax.errors import InputError
 ASSETS = Path(__file__).parents[2] / "unips_jax/app/assets"
 
 
-def ask(at, method="GET", body_bytes=1000, kind="http", **headers):
+def ask(*given, **more):
     """The status that a guarded application at 127.0.0.1 answers."""
+    return sent_by(*given, **more)[0]
+
+
+def sent_by(at, method="GET", body_bytes=1000, kind="http", **headers):
+    """All that it answers."""
     sent = []
 
     async def inner(scope, receive, send):
@@ -41,8 +46,8 @@ def ask(at, method="GET", body_bytes=1000, kind="http", **headers):
             (k.replace("_", "-").encode(), v.encode()) for k, v in given.items()
         ],
     }
-    asyncio.run(Guard(inner, host=at, body_bytes=1000)(scope, None, send))
-    return sent[0]
+    asyncio.run(Guard(inner, host=at, body_bytes=body_bytes)(scope, None, send))
+    return sent
 
 
 OWN, LAN = "127.0.0.1", "0.0.0.0"
@@ -108,6 +113,18 @@ def test_other_sites_are_refused(host, headers, status):
 )
 def test_large_requests_are_refused_unread(method, headers, status):
     assert ask(OWN, method, **headers)["status"] == status
+
+
+def test_a_refused_upload_says_the_limit_in_the_pages_words():
+    sent = sent_by(OWN, "PUT", content_length="2500000", body_bytes=2_000_000)
+    assert json.loads(sent[1]["body"]) == {"code": "too_large", "values": {"most": 2}}
+    assert (b"content-type", b"application/json") in sent[0]["headers"]
+
+
+def test_weights_that_are_not_there_are_named_before_it_serves(tmp_path, capsys):
+    given = ["--weights", "nope.safetensors", "--no-show", "--results", str(tmp_path)]
+    assert app(given) == 2
+    assert "nope.safetensors" in capsys.readouterr().err
 
 
 def test_there_are_no_sockets():

@@ -304,12 +304,27 @@ def test_of_two_boxes_the_second_gives_the_mask(page, sets):
     assert overlap(mask_of(page, SIZE), right) > 0.9
 
 
-def test_of_two_tabs_the_first_keeps_its_work(page, sets):
+NO_LOCKS = "Object.defineProperty(Navigator.prototype, 'locks', {value: undefined})"
+
+
+def before_pages(page, source):
+    """Runs a script in this tab before any page's own."""
+    name = "Page.addScriptToEvaluateOnNewDocument"
+    return page.execute_cdp_cmd(name, {"source": source})
+
+
+@pytest.mark.parametrize("script", ["", NO_LOCKS], ids=["locks", "plain http"])
+def test_of_two_tabs_the_first_keeps_its_work(page, sets, script):
+    """By plain http from another machine browsers have no locks."""
     first, url = page.current_window_handle, page.current_url
+    made = before_pages(page, script)
+    page.get(url)
+    until(page, "return !!window.unips")
     drop_and_wait(page, sets["left"][0])
     until_kept(page, sets["left"][0])
     page.switch_to.new_window("tab")
     try:
+        before_pages(page, script)
         page.get(url)
         until(page, "return crossOriginIsolated && !!window.unips")
         assert kept(page, "files") is None
@@ -323,6 +338,7 @@ def test_of_two_tabs_the_first_keeps_its_work(page, sets):
     reload(page)
     names = page.execute_script("return unips.state.photographs.map((p) => p.name)")
     assert names == [path.name for path in sets["left"][0]]
+    page.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", made)
 
 
 def choose_linear(page):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from node_calls import in_node, typed
+from node_calls import in_node, printed, typed
 
 from unips_jax.io.masks import lit_pixels
 
@@ -27,6 +27,35 @@ def test_black_is_that_of_the_command(transfer, white, kept):
     expected = lit_pixels(brightest, transfer, np.ones((5, 9), bool))
     np.testing.assert_array_equal(np.reshape(found, (5, 9)), expected)
     assert expected.sum() == (kept if transfer == "srgb" else 30)
+
+
+ANSWERED = """
+import { readFileSync } from "node:fs";
+const [file] = process.argv.slice(1);
+const answer = JSON.parse(readFileSync(0, "utf8"));
+const listeners = {};
+globalThis.self = {
+  location: { origin: "http://here" },
+  addEventListener: (name, listener) => (listeners[name] = listener),
+};
+globalThis.fetch = async () => answer;
+new Function(readFileSync(file, "utf8"))();
+let given;
+const event = { request: { url: "http://here/index.html" } };
+listeners.fetch({ ...event, respondWith: (promise) => (given = promise) });
+const found = await given;
+const same = found === answer;
+console.log(JSON.stringify([same, same ? 0 : [...found.headers].length]));
+"""
+
+
+@pytest.mark.parametrize(("status", "same"), [(0, True), (200, False)])
+def test_a_redirect_passes_the_worker_that_adds_headers(status, same):
+    """A navigation's comes with the status 0, which no answer may have."""
+    answer = {"type": "opaqueredirect", "status": status, "headers": {}, "body": None}
+    arguments = ["--input-type=module", "-e", ANSWERED, str(SOURCE / "isolate.js")]
+    found = printed(arguments, answer)
+    assert found[0] == same and (same or found[1] == 3)
 
 
 @pytest.mark.parametrize("transfer", ["srgb", "linear"])

@@ -14,8 +14,9 @@ from small_networks import SHALLOW_OURS, SMALL, lively_network
 
 from unips_jax import estimate_normals
 from unips_jax.cli.main import main
+from unips_jax.export import files
 from unips_jax.export.files import _shapes, write_export
-from unips_jax.weights import save_weights
+from unips_jax.weights import save_weights, weights_hash
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
@@ -113,6 +114,18 @@ def test_parameters_that_half_precision_holds_are_stored_so(tmp_path):
         types = [x.data_type for x in model.graph.initializer if np.prod(x.dims) > 64]
         sizes[half] = types.count(onnx.TensorProto.FLOAT16)
     assert sizes[False] == 0 and sizes[True] > 5
+
+
+def test_the_hash_is_that_of_the_weights_as_they_are(tmp_path, monkeypatch):
+    """Also of a network that trains in half precision, and of a rounded file."""
+    network = lively_network(SHALLOW_OURS)
+    config = dataclasses.replace(network.config, dtype="bfloat16", remat=True)
+    network = dataclasses.replace(network, config=config)
+    monkeypatch.setattr(files, "write_stablehlo", lambda *given: None)
+    for half in (False, True):
+        how = {"format": "stablehlo", "name": "mine", "half": half}
+        record = write_export(tmp_path / str(half), network, **how)
+        assert record["weights"]["hash"] == weights_hash(network)
 
 
 def test_command(tmp_path, capsys):

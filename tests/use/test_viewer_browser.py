@@ -270,6 +270,21 @@ def test_without_webgl_the_normals_are_shown(address):
         assert driver.find_element(By.TAG_NAME, "summary").text.startswith("Über")
 
 
+@pytest.mark.parametrize("broken", [2, 3], ids=["three.js", "ours"])
+def test_a_browser_that_cannot_read_a_script_says_so(driver, tmp_path, broken):
+    """As those of 2021, to which parts of them are no JavaScript."""
+    parts = page_of(known_results.result()).split("<script>\n")
+    assert len(parts) == 4  # what is before, plain words, and these
+    parts[broken] = "class {{ " + parts[broken]
+    path = tmp_path / "old.html"
+    path.write_text("<script>\n".join(parts), "utf-8")
+    driver.get(path.as_uri())
+    failure = driver.find_element(By.ID, "failure")
+    WebDriverWait(driver, 300).until(lambda _: failure.is_displayed())
+    assert driver.find_element(By.CSS_SELECTOR, "#stage img").is_displayed()
+    assert "SyntaxError" in messages(driver)[0]
+
+
 @pytest.mark.parametrize(("kept", "stays"), [(120, True), (90, False), (None, True)])
 def test_a_kept_scale_is_that_of_its_camera(driver, tmp_path, kept, stays):
     """One without a focal length is of an earlier version's page."""

@@ -13,7 +13,7 @@ function database() {
 
 // Of several tabs the first keeps what it has; the others work as private windows do.
 // A reload may come before its page has gone: hence the second and a half.
-const first = !navigator.locks ? Promise.resolve(true) : new Promise((resolve) => {
+const first = !navigator.locks ? aloneHere() : new Promise((resolve) => {
   const given = new AbortController();
   const late = setTimeout(() => given.abort(), 1500);
   navigator.locks.request(NAME, { signal: given.signal }, () => {
@@ -22,6 +22,23 @@ const first = !navigator.locks ? Promise.resolve(true) : new Promise((resolve) =
     return new Promise(() => {}); // held as long as the page lives
   }).catch(() => resolve(false));
 });
+
+// By plain http from another machine there are no locks: the others are asked.
+function aloneHere() {
+  const channel = new BroadcastChannel(NAME);
+  let mine = false;
+  return new Promise((resolve) => {
+    const late = setTimeout(() => resolve((mine = true)), 400);
+    channel.onmessage = ({ data }) => {
+      if (data === "anyone?" && mine) channel.postMessage("here");
+      if (data !== "here" || mine) return;
+      clearTimeout(late);
+      channel.close();
+      resolve(false);
+    };
+    channel.postMessage("anyone?");
+  });
+}
 
 async function transact(mode, act) {
   let base;

@@ -377,7 +377,7 @@ if (!crossOriginIsolated && "serviceWorker" in navigator && !sessionStorage.isol
     await navigator.serviceWorker.ready;
     sessionStorage.isolated = "tried";
     location.reload();
-  }, () => {});
+  }, takeUp); // without threads it goes on, too
 } else takeUp();
 // A page that "back" brings from memory may be the one before the reload.
 addEventListener("pageshow", (event) => {

@@ -203,8 +203,9 @@ class Api:
                 raise Refused(415, "failed")
             write_whole(item.drawn, data)
         item.mask = kind
+        item.mask_version += 1
         item.save()
-        return JSONResponse({})
+        return JSONResponse({"mask_version": item.mask_version})
 
     async def cut(self, request: Request, item: Object) -> Response:
         """`{"box": [left, top, right, bottom]}`: the object in a box."""

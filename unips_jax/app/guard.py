@@ -1,6 +1,7 @@
 """Who may ask: no other site, by whatever name; and no more than the server takes."""
 
 import ipaddress
+import json
 import socket
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
@@ -28,6 +29,10 @@ _REFUSED = {
     411: b"expected an upload of announced length",
     413: b"the upload is too large",
 }
+
+
+def _json(code: str, values: dict[str, int]) -> bytes:
+    return json.dumps({"code": code, "values": values}).encode()
 
 
 def is_loopback(host: str) -> bool:
@@ -69,10 +74,14 @@ class Guard:
         if status is None:
             await self._app(scope, receive, sent)
             return
-        headers = [(b"content-type", b"text/plain"), (b"connection", b"close")]
+        kind, body = b"text/plain", _REFUSED[status]
+        if status == 413:  # which the page says in its language
+            limit = {"most": self._limit // 10**6}
+            kind, body = b"application/json", _json("too_large", limit)
+        headers = [(b"content-type", kind), (b"connection", b"close")]
         start = {"type": "http.response.start", "status": status, "headers": headers}
         await sent(start)
-        await sent({"type": "http.response.body", "body": _REFUSED[status]})
+        await sent({"type": "http.response.body", "body": body})
 
     def _status(self, method: str, headers: dict[bytes, bytes]) -> int | None:
         host = headers.get(b"host", b"").decode("latin-1").lower()

@@ -54,6 +54,7 @@ class Object:
     state: str = "draft"  # "waiting", "running", or one of `OVER`
     photographs: list[Photograph] = dataclasses.field(default_factory=list)
     mask: str = "auto"  # or "drawn", "whole" (all of the image), "empty"
+    mask_version: int = 0  # changes with it
     # in the photographs that are used; see `work.gather`
     found: dict[str, Any] | None = None
     version: int = 0  # changes with the photographs; `found_version` is that of `found`

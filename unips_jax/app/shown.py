@@ -6,7 +6,9 @@ from typing import Any
 from unips_jax.app.desk import Desk
 from unips_jax.app.objects import Object
 
-_SHOWN = "version found problem mask options error findings seconds".split()
+_SHOWN = (
+    "version found problem mask mask_version options error findings seconds".split()
+)
 _SHOWN_OF_PHOTOGRAPHS = "file name state why detail".split()
 
 

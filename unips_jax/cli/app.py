@@ -45,6 +45,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         raise InputError(
             f"unips app needs {error.name}: {install_hint('app')}"
         ) from None
+    from unips_jax.weights import weights_path
+
+    weights_path(options.weights)  # one that is missing is named now
     serve(
         options.host,
         options.port,

@@ -248,8 +248,11 @@ def render_set(
         "environments": len(settings.environments),
     }
     record |= record.pop("files")
+    path = out / "settings.json"
     with claim(locks / ".settings", wait=True):
-        _same_settings(out / "settings.json", record)
+        if not path.exists() or "made_by" in json.loads(path.read_text()):
+            record["made_by"] = "Blender " + blender.ask("version")["blender"]
+        _same_settings(path, record)
 
     def missing(job: Job) -> dict[str, Path]:
         chosen = job.lightings or settings.lightings

@@ -71,6 +71,7 @@ def write_export(
     None. Of one, the caller turns the mirrored view: columns count from the right, and
     x of the normals changes its sign.
     """
+    own = weights_hash(network)  # as records of results have it
     config = dataclasses.replace(network.config, dtype="float32", remat=False)
     network = dataclasses.replace(network, config=config)
     if half:
@@ -79,7 +80,7 @@ def write_export(
     record = {
         "format": format,
         "version": VERSION,
-        "weights": {"name": name, "hash": weights_hash(network)},
+        "weights": {"name": name, "hash": own},
         "config": json.loads(to_json(config)),
         **({} if decoder_views is None else {"decoder_views": decoder_views}),
         **_versions(),

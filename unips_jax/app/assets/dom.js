@@ -9,6 +9,13 @@ export function el(tag, properties = {}, ...children) {
   return element;
 }
 
+export async function image(source) {
+  const loaded = new Image();
+  loaded.src = source;
+  await loaded.decode();
+  return loaded;
+}
+
 /** Replaces an element's children, unless what they show is the same; the focus stays in
  * its place. */
 export function fill(element, key, children) {

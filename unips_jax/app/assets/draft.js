@@ -69,7 +69,7 @@ async function saveOptions() {
 
 async function showMask(object) {
   const which = `${object.id} ${object.version}`;
-  if (loaded === which) return;
+  if (loaded === which && !mask.isBehind(object)) return;
   loaded = which;
   try {
     await mask.load(object.id, object.version, object, refresh);

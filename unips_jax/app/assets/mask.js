@@ -1,6 +1,7 @@
 // The mask's editor: a brush, a box that the server cuts out, pieces, undo.
 
 import { request } from "./api.js";
+import { image } from "./dom.js";
 import { t } from "./text.js";
 
 const SIDE = 1024;
@@ -21,16 +22,10 @@ let changes = 0; // that the server doesn't have yet
 let flushed = 0; // of these, sent by a page that was about to go
 let saving = null; // the save that runs
 let edits = 0; // since the page was opened
+let known = 0; // the number of the server's mask that this is, or follows
 let finding = Promise.resolve(); // the answers that are waited for
 let turn = 0; // changes with each object: answers for an earlier one come too late
 let listeners = { changed: () => {} };
-
-async function image(source) {
-  const loaded = new Image();
-  loaded.src = source;
-  await loaded.decode();
-  return loaded;
-}
 
 /** Shows the picture; of another size or object, everything begins anew. */
 export async function load(id, version, how, changed) {
@@ -49,14 +44,16 @@ export async function load(id, version, how, changed) {
     if (!name) clear();
     else if (!(await take(`/api${base}/pictures/${name}?${version}`, drawn))) return;
     if (!same) choose(name ? "add" : "box");
-  } else if (!same) {
-    if (!(await take(`/api${base}/pictures/drawn.png?${version}`))) return;
-    choose(how.mask === "empty" ? "box" : "add");
+  } else if (!drawn() && (!same || how.mask_version > known)) {
+    if (same) remember();
+    if (!(await take(`/api${base}/pictures/drawn.png?${version}-${how.mask_version}`, drawn))) return;
+    if (!same) choose(how.mask === "empty" ? "box" : "add");
   }
   if (!same) {
     changes = 0;
     tell("");
   }
+  known = how.mask_version;
   draw();
   byId("mask-editor").dataset.ready = "true";
 }
@@ -85,6 +82,9 @@ export function forget() {
 }
 
 export const empty = () => inside === 0;
+
+/** Whether another page changed the mask, and nothing waits to be sent from here. */
+export const isBehind = (object) => object.mask_version > known && !changes;
 
 /** Resolves when the server has the mask. */
 export async function settled() {
@@ -179,7 +179,8 @@ async function send() {
     const [base, how] = [address, kind()];
     const blob = await new Promise((done) => picked().toBlob(done, "image/png"));
     try {
-      await request("PUT", `${base}/mask?kind=${how}`, blob);
+      const answer = await request("PUT", `${base}/mask?kind=${how}`, blob);
+      if (base === address) known = answer.mask_version;
     } catch (problem) {
       if (base !== address) return 0;
       if (problem.status === 404 || problem.status === 409) return (changes = 0);

@@ -174,6 +174,10 @@ def _joined(parts: list[Any]) -> Any:
         if mapped:  # of one name, or they would be several layers
             mesh.uv_layers[0].name = "UVMap"
         b.from_mesh(mesh)
+    # What belongs to no face would count where the object is fitted to the frame.
+    loose = [vertex for vertex in b.verts if not vertex.link_faces]
+    if loose and b.faces:
+        bmesh.ops.delete(b, geom=loose, context="VERTS")
     mesh = bpy.data.meshes.new("mesh")
     b.to_mesh(mesh)
     b.free()

@@ -310,3 +310,4 @@ function fail(error) {
 }
 
 start().catch(fail);
+window.unipsRuns = true;

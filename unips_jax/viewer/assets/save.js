@@ -50,7 +50,7 @@ function halves(stage) {
 /** The page as it came, with other notes in it. */
 function pageWith(notes) {
   const text = JSON.stringify(notes).replaceAll("<", "\\u003c");
-  const page = source.replace(/(?<=id="notes">)[^<]*/, () => text);
+  const page = source.replace(/(id="notes">)[^<]*/, (_, mark) => mark + text);
   return new Blob([page], { type: "text/html" });
 }
 
