@@ -56,6 +56,10 @@ class SceneConfig:
         rim_rate: share of scenes before a background that most mix with at their
             border, and with masks that are up to 4 pixels too large or 3 too small,
             shifted, uneven or jagged, or exact; `mask_error_rate` is for the others.
+        mixed_rate: share, among the others, of scenes whose border pixels are partly
+            background, as a photograph's are; their masks are as exact as without.
+        far_lamp_rate: share, among lamps that are near (point, area), of those that
+            stand 3 to 15 of the object's radii away; the others stand within 4.
         side_rate: share of scenes lit from one side only, or from one quadrant.
         photograph_rate: share of environments that are photographed, wholly or in part.
         whole_frame_rate: share, among objects other than reliefs and plates, of those
@@ -92,6 +96,8 @@ class SceneConfig:
     blur_rate: float = 0.3
     mask_error_rate: float = 0.15
     rim_rate: float = 0.0
+    mixed_rate: float = 0.0
+    far_lamp_rate: float = 0.0
     side_rate: float = 0.0
     photograph_rate: float = 0.0
     whole_frame_rate: float = 0.0

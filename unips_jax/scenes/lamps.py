@@ -86,11 +86,13 @@ def draw_lights(
     num_images: int,
     sides: Sides | None = None,
     photographs: tuple[Draws, float] | None = None,
+    far: Array | None = None,
 ) -> tuple[KeyLights, Environment]:
     """Draws one scene's lights; what its kind lacks has no brightness.
 
     From at least 110 + 20 N numbers; `sides` None: from anywhere; `photographs`: what
-    draws photographed environments, 6 numbers, and their share.
+    draws photographed environments, 6 numbers, and their share; `far`: how far a near
+    lamp stands, in radii, 0 for within 4; None: always so.
     """
     turn = 1.0 if sides is None else sides.turn
     environment = draw_environment(draws, num_images, turn)
@@ -102,7 +104,10 @@ def draw_lights(
     direction = _key_directions(draws, num_images)
     if sides is not None:
         direction = _to_side(sides, direction)
-    distance = draws.uniform(1.3, 3.0) * draws.uniform(0.8, 1.25, num_images)
+    reach = draws.uniform(1.3, 3.0)
+    if far is not None:
+        reach = jnp.where(far > 0, far, reach)
+    distance = reach * draws.uniform(0.8, 1.25, num_images)
     near = (kind == _POINT) | (kind == _AREA)
     area = kind == _AREA
     # The sun turns with its sky.

@@ -100,8 +100,12 @@ def shade(
     if config.photograph_rate:
         draws = Draws(jax.random.fold_in(key_lights, 2), 8)
         photographs = draws, config.photograph_rate
+    far = None
+    if config.far_lamp_rate:
+        draws = Draws(jax.random.fold_in(key_lights, 4), 2)
+        far = draws.chance(config.far_lamp_rate) * draws.log_uniform(3.0, 15.0)
     draws = Draws(key_lights, 160 + 24 * num_images)
-    keys, environment = draw_lights(draws, light, num_images, sides, photographs)
+    keys, environment = draw_lights(draws, light, num_images, sides, photographs, far)
     if geometry.backdrop is not None and geometry.ground is not None:
         key_ground = jax.random.fold_in(key_surface, 1)
         other = Draws(key_ground, 1).choice(config.material_weights)

@@ -105,10 +105,13 @@ def record(
     amount = jnp.where(draws.chance(config.blur_rate), draws.uniform(0.0, 0.35), 0.0)
     images = blur(images, mask, amount)
     rims = None
-    if config.rim_rate:
+    rimmed = jnp.bool_(False)
+    if config.rim_rate or config.mixed_rate:
         rims = _rims(jax.random.fold_in(key, 1), images, mask)
         rimmed = jax.random.uniform(jax.random.fold_in(key, 2)) < config.rim_rate
-        images = jnp.where(rimmed, mix(rims, images, mask), images)
+        mixed = jax.random.uniform(jax.random.fold_in(key, 3)) < config.mixed_rate
+        rims = rims._replace(mixed=rims.mixed | ~rimmed)
+        images = jnp.where(rimmed | mixed, mix(rims, images, mask), images)
     noisy = draws.chance(config.noise_rate)
     shot = jnp.where(noisy, draws.log_uniform(1e-5, 1e-3), 1e-7)
     read = jnp.where(noisy, draws.log_uniform(1e-4, 5e-3), 1e-5)

@@ -185,6 +185,8 @@ class TrainConfig:
         squared_loss: square the distance between true and predicted normals, as the
             paper does; False takes the distance itself, which follows the mean angular
             error.
+        distance_smoothing: of that distance: errors whose square is below it count by
+            their square, so that small ones hardly count (1e-3: below 1.8 degrees).
         coarse_guess_weight: what the consensus' guess of coarse normals weighs in the
             loss, next to the normals' own distance.
         lights_guess_weight: what its guess of where the lights are weighs there.
@@ -204,6 +206,7 @@ class TrainConfig:
     steps: int = 67_327
     seed: int = 0
     squared_loss: bool = True
+    distance_smoothing: float = 1e-3
     coarse_guess_weight: float = 0.5
     lights_guess_weight: float = 0.25
     kinds_guess_weight: float = 0.1
@@ -219,7 +222,9 @@ class TrainConfig:
     def __post_init__(self) -> None:
         check_types(self)
         rhythm = ("log_every", "checkpoint_every", "keep", "validate_every")
-        require_positive(self, "steps", *rhythm, "validation_images")
+        require_positive(
+            self, "steps", *rhythm, "validation_images", "distance_smoothing"
+        )
         guesses = ("coarse_guess_weight", "lights_guess_weight", "kinds_guess_weight")
         blocks = ("steepness_weight", "differences_weight")
         require_not_negative(self, "seed", *guesses, *blocks, "validation_scenes")

@@ -77,6 +77,7 @@ class LossOptions:
         frame: what the encoder's square surrounds, the "mask" or the whole "image".
         grid_loss: include the sampling at the contexts' grid.
         squared_loss: the distances of the normals are squared, as in the paper.
+        distance_smoothing: else errors whose square is below it count by their square.
         coarse_guess_weight: of the guess of coarse normals; the normals have 1.
         lights_guess_weight: of the guess of the lights.
         kinds_guess_weight: of the guesses of the kinds of light.
@@ -90,6 +91,7 @@ class LossOptions:
     frame: FrameKind = "image"
     grid_loss: bool = True
     squared_loss: bool = True
+    distance_smoothing: float = 1e-3
     coarse_guess_weight: float = 0.5
     lights_guess_weight: float = 0.25
     kinds_guess_weight: float = 0.1
@@ -113,9 +115,9 @@ def squared_distance(predicted: Array, true: Array) -> Array:
     return jnp.sum(jnp.square(predicted - true), axis=-1)
 
 
-def plain_distance(squared: Array) -> Array:
+def plain_distance(squared: Array, smoothing: float = 1e-3) -> Array:
     """Distance of unit normals from its square, `[...]`, in [0, 2], smooth at zero."""
-    return jnp.sqrt(squared + 1e-3) - 1e-3**0.5
+    return jnp.sqrt(squared + smoothing) - smoothing**0.5
 
 
 def mean_weights(mask: Array) -> Array:
@@ -213,7 +215,11 @@ def training_loss(
             loss += options.differences_weight * jnp.sum(pairs * distance(change))
         return loss, (1 - squared / 2).reshape(-1, block, batch)
 
-    distance = (lambda x: x) if options.squared_loss else plain_distance
+    def distance(squared: Array) -> Array:
+        if options.squared_loss:
+            return squared
+        return plain_distance(squared, options.distance_smoothing)
+
     block = BLOCK if options.pixel_blocks else 1
 
     def in_blocks(x: Array) -> Array:
