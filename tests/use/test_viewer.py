@@ -117,7 +117,7 @@ def test_names_cannot_end_the_script_or_begin_another():
     plain = known_results.result(title=evil)
     named = [dataclasses.replace(p, name=evil) for p in plain.photographs]
     html = page(dataclasses.replace(plain, photographs=tuple(named)))
-    assert html.count("<script") == 4 and "alert(1)</script>" not in html
+    assert html.count("<script") == 5 and "alert(1)</script>" not in html
     assert data_of(html)["photographs"][0]["name"] == evil
 
 

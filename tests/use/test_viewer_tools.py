@@ -79,8 +79,11 @@ def overlay(page):
 
 def ends(page, name, attribute):
     """An attribute of all marks of a kind, in the screen's pixels."""
-    marks = page.find_elements(By.CSS_SELECTOR, f"#overlay {name}")
-    return [float(mark.get_attribute(attribute)) for mark in marks]
+    # At once: they are drawn anew at any time.
+    read = """const [marks, name] = arguments;
+        return [...document.querySelectorAll(marks)].map((x) => +x.getAttribute(name));
+    """
+    return page.execute_script(read, f"#overlay {name}", attribute)
 
 
 def test_a_drag_draws_a_profile(page):

@@ -20,7 +20,7 @@ from unips_jax.scenes.noise import Point, dot
 @functools.cache
 def _read(path: str) -> np.ndarray:
     try:
-        with np.load(path) as arrays:
+        with open(path, "rb") as file, np.load(file) as arrays:
             grids = arrays["distance"]
     except Exception as error:  # damaged archives raise what they like
         raise InputError(
