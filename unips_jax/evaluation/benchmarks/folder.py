@@ -44,12 +44,12 @@ class Folder(Benchmark):
     as (n + 1) / 2 in images of 8 or 16 bits and as n else, and, where it is given,
     `mask.*`. Without a mask the object's pixels are those whose true normal has unit
     length (to 1e-3 in 16 bits or more, to 0.05 in 8); of a mask, pixels without a true
-    normal are left out. Photographs and mask are chosen
-    and read as by `unips estimate` (see `io.photographs`), those of 8 bits taken as
-    sRGB (store linear ones in 16). An object's photographs are read whole by the check
-    too. The focal length is taken from the first photograph's EXIF data, where it
-    carries one, the lights from a list `*.lp` that has a direction for each photograph,
-    by name: distant and equally strong.
+    normal are left out. Photographs and mask are chosen and read as by `unips estimate`
+    (see `io.photographs`), those of 8 bits taken as sRGB (store linear ones in 16). An
+    object's photographs are read whole by the check too. The focal length is taken from
+    the first photograph's EXIF data, where it carries one, the lights from a list
+    `*.lp` that has a direction for each photograph, by name: distant and equally
+    strong.
     """
 
     name = "folder"
