@@ -39,11 +39,11 @@ def test_arrays_of_8_bits_are_srgb_as_files_are():
     again = unips_jax.estimate_lights(linear, NORMALS, MASK)
     np.testing.assert_allclose(again.directions, found.directions, atol=0.02)
     network = lively_network(SHALLOW_OURS)
-    given, told = (
+    usual, stated = (
         unips_jax.estimate_photographs(network, stored, MASK, **options)
         for options in ({}, {"transfer": "srgb"})
     )
-    np.testing.assert_array_equal(given, told)
+    np.testing.assert_array_equal(usual, stated)
 
 
 @pytest.mark.parametrize(

@@ -176,10 +176,10 @@ def test_a_full_temporary_folder_is_named(tmp_path, monkeypatch):
 
     monkeypatch.setattr(unpack, "_unpack_pages", full)
     path = tmp_path / "stack.tif"
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as caught:
         with unpack.unpacked(path, frames=3, max_pixels=1000):
             pass
-    text = str(told.value)
+    text = str(caught.value)
     assert text.startswith(f"{unpack.tempfile.gettempdir()}: cannot hold what {path}")
     assert "No space left on device" in text and "TMPDIR" in text
 
