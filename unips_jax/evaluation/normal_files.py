@@ -178,11 +178,6 @@ def normal_files(
     return NormalFiles(Path(folder), signs, order, file, values == "stored")
 
 
-def read_any(path: Path) -> np.ndarray:
-    """Normals `[H, W, 3]`, float32, as stored, of an array or an image."""
-    return _plain(_stored(path), path)
-
-
 def _stored(path: Path) -> np.ndarray:
     """The values of an array or an image, `[H, W, 3]`, in their own type."""
     if path.suffix.lower() not in (".npy", ".mat"):
