@@ -30,7 +30,7 @@ ENVIRONMENTS = {"workshop": 15, "forest": 5, "lobby": 8, "sunset": 12}
 """Numbers in the tables, which are sorted by name."""
 
 
-def bundle(sources: Path = SOURCES) -> tuple[bytes, bytes]:
+def bundle() -> tuple[bytes, bytes]:
     """Bundles three.js: the script, which defines `THREE`, and the licence.
 
     Raises:
@@ -38,7 +38,7 @@ def bundle(sources: Path = SOURCES) -> tuple[bytes, bytes]:
     """
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
-        for path in sources.iterdir():
+        for path in SOURCES.iterdir():
             shutil.copy(path, work)
         _run(work, "npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund")
         package = work / "node_modules" / "three"

@@ -25,15 +25,15 @@ from unips_jax.training import DataConfig, load_config, write_folder
 from unips_jax.training.folders import READ_AHEAD, folder_batches
 
 
-def write_objects(root: Path, count: int, size: int, images: int = 10) -> None:
-    """Writes objects of noise, as large on disk as photographs of 16 bits."""
+def write_objects(root: Path, count: int, size: int) -> None:
+    """Writes objects of noise, ten images each, as large on disk as ones of 16 bits."""
     generator = np.random.default_rng(0)
     y, x = np.mgrid[1 : -1 : size * 1j, -1 : 1 : size * 1j]
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     normals, mask = np.stack([x, y, z], -1), z > 0
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
     for index in range(count):
-        photographs = (generator.random((size, size, 3)) for _ in range(images))
+        photographs = (generator.random((size, size, 3)) for _ in range(10))
         folder = root / f"object{index}.data"
         write_folder(folder, photographs, mask, normals, {}, name="{:03d}.tif")
 

@@ -23,7 +23,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -34,6 +34,7 @@ from unips_jax.baselines.method import Estimated, Lights, Observed
 from unips_jax.console import command, print_table, start_jax
 from unips_jax.errors import InputError
 from unips_jax.evaluation.benchmarks import files
+from unips_jax.evaluation.benchmarks.base import Item
 from unips_jax.evaluation.benchmarks.diligent import Diligent
 from unips_jax.evaluation.benchmarks.ps_wild import PSWildTest
 from unips_jax.evaluation.protocols import Case, Protocol, choose_images, show
@@ -191,7 +192,7 @@ def _natural(group: str) -> tuple[str, float]:
     return text, float(offset.removesuffix(" px") or -99)
 
 
-def _shown(item, protocol, count) -> Case:  # type: ignore[no-untyped-def]
+def _shown(item: Item, protocol: Literal["crop", "native"], count: int | None) -> Case:
     total = len(item.images)
     chosen = choose_images(count or total, total, seed=0)
     return show(item, Protocol(protocol), chosen, crop_focal_ratio=1.0)
@@ -213,24 +214,16 @@ def unips(source: str) -> Estimate:
     return lambda images, mask: estimate_photographs(network, images, mask)
 
 
-def real_cases(
-    root: Path,
-    ps_wild: Sequence[Path] = (),
-    *,
-    counts: Sequence[int | None] = (10, None),
-    offsets: Sequence[int] = OFFSETS,
-) -> Iterator[RealCase]:
+def real_cases(root: Path, ps_wild: Sequence[Path]) -> Iterator[RealCase]:
     """All sets; prints a line for each that is absent.
 
     Args:
         root: holds `diligent_dev` and `photos/psbox_cat.data`.
         ps_wild: folders that `unips render` wrote.
-        counts: numbers of images of DiLiGenT's objects; None: all.
-        offsets: of masks, in pixels.
     """
-    yield from sphere_cases(offsets)
+    yield from sphere_cases()
     sets: list[tuple[Path, Callable[[Path], Iterator[RealCase]]]] = [
-        (root / "diligent_dev", lambda path: diligent_cases(path, counts, offsets)),
+        (root / "diligent_dev", lambda path: diligent_cases(path, offsets=OFFSETS)),
         (root / "photos" / "psbox_cat.data", lamp_cases),
         *((path, ps_wild_cases) for path in ps_wild),
     ]

@@ -37,9 +37,9 @@ LOOKS = {
 }
 
 
-def depth_inside(size: int = SIZE) -> np.ndarray:
+def depth_inside() -> np.ndarray:
     """How far each pixel's centre lies inside the silhouette, in pixels, `[H, W]`."""
-    y, x = np.mgrid[:size, :size] + 0.5
+    y, x = np.mgrid[:SIZE, :SIZE] + 0.5
     return RADIUS - np.hypot(x - _CENTER[0], y - _CENTER[1])
 
 
@@ -48,11 +48,11 @@ def sphere_normals() -> np.ndarray:
     return _normals(1)[0].astype(np.float32)
 
 
-def photograph_sphere(look: Look, num_images: int = 10) -> np.ndarray:
-    """Photographs under one distant lamp each, `[N, H, W, 3]`, float32 in [0, 1]."""
+def photograph_sphere(look: Look) -> np.ndarray:
+    """Photographs under ten distant lamps, `[10, H, W, 3]`, float32 in [0, 1]."""
     normals, inside = _normals(_SAMPLES)
     images = []
-    for light in lamps(num_images):
+    for light in lamps(10):
         shading = np.maximum(normals @ light, 0)
         half = light + (0, 0, 1)
         shine = np.maximum(normals @ (half / np.linalg.norm(half)), 0) ** look.exponent

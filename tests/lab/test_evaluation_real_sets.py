@@ -126,7 +126,7 @@ def test_the_command_has_means_objects_and_the_constant(
     monkeypatch.setattr(
         real_sets, "unips", lambda source: lambda images, mask: mask[..., None] * tilt
     )
-    monkeypatch.setattr(real_sets, "sphere_cases", lambda offsets: iter(()))
+    monkeypatch.setattr(real_sets, "sphere_cases", lambda: iter(()))
     data.make_ps_wild(tmp_path / "mini", lightings=("directional",))
     dev = tmp_path / "diligent_dev"
     data.make_diligent(dev, images=12, objects=("ball",), size=(32, 40))

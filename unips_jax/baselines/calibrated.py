@@ -127,11 +127,7 @@ def check_lights(
 
 
 def split_low_rank(
-    values: np.ndarray,
-    *,
-    tolerance: float = 1e-6,
-    growth: float = 1.2,
-    iterations: int = 500,
+    values: np.ndarray, *, tolerance: float = 1e-6, growth: float = 1.2
 ) -> tuple[np.ndarray, np.ndarray]:
     """Splits a matrix `[P, N]` into low-rank and sparse parts (inexact ALM), float64.
 
@@ -148,7 +144,7 @@ def split_low_rank(
     penalty = 1.25 / spectral
     last = penalty * 1e7
     low, sparse = np.zeros_like(image), np.zeros_like(image)
-    for _ in range(iterations):
+    for _ in range(500):
         rest = image - low + dual / penalty
         sparse = np.sign(rest) * np.maximum(np.abs(rest) - weight / penalty, 0)
         target = image - sparse + dual / penalty

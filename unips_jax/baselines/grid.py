@@ -96,7 +96,7 @@ def stencil(center: Array, right: Array, below: Array, aslant: Array) -> Product
     return product
 
 
-def integrate(slopes: Array, mask: Array, *, rtol: float = 1e-5) -> Array:
+def integrate(slopes: Array, mask: Array) -> Array:
     """Integrates slopes `[2, H, W]` by least squares: `[H, W]`, mean 0 on the mask."""
     links = jnp.stack(
         [mask & shift(mask, 0, 1), mask & shift(mask, 1, 0)], dtype=slopes.dtype
@@ -106,7 +106,7 @@ def integrate(slopes: Array, mask: Array, *, rtol: float = 1e-5) -> Array:
     degree = links[0] + links[1] + shift(links[0], 0, -1) + shift(links[1], -1, 0)
     product = stencil(degree, -links[0], -links[1], jnp.zeros_like(degree))
     limit = 10 * max(mask.shape)
-    flat = solve_cg(product, divergence.ravel(), degree.ravel(), rtol=rtol, limit=limit)
+    flat = solve_cg(product, divergence.ravel(), degree.ravel(), rtol=1e-5, limit=limit)
     solution = flat.reshape(mask.shape)
     mean = jnp.sum(solution) / jnp.maximum(jnp.sum(mask), 1)
     return jnp.where(mask, solution - mean, 0.0)
