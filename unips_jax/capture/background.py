@@ -73,11 +73,11 @@ def _find(picture: np.ndarray) -> _Found | None:
     thresholds = np.geomspace(least, top, _STEPS) if least < top else np.array([top])
     steady, threshold = -1.0, top
     for value in thresholds:
-        overlap = _overlap(
+        kept = overlap(
             _solid(distance > value / _WIDER), _solid(distance > value * _WIDER)
         )
-        if overlap > steady + 0.005:  # the lower one, if they are alike
-            steady, threshold = overlap, value
+        if kept > steady + 0.005:  # the lower one, if they are alike
+            steady, threshold = kept, value
     mask = _solid(distance > threshold)
     if not mask.any() or mask.all():
         return None
@@ -255,5 +255,6 @@ def disc(radius: int) -> np.ndarray:
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
 
 
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
+def overlap(a: np.ndarray, b: np.ndarray) -> float:
+    """The share of the pixels of two masks that is in both, in [0, 1]."""
     return float((a & b).sum() / max((a | b).sum(), 1))

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import cv2
 import numpy as np
 
-from unips_jax.capture.background import mask_on_plain_background
+from unips_jax.capture.background import mask_on_plain_background, overlap
 from unips_jax.capture.salient import mask_of_salient_object
 from unips_jax.capture.shine import is_only_shine
 from unips_jax.errors import InputError
@@ -59,7 +59,7 @@ def _guess(images: np.ndarray, transfer: Transfer) -> MaskGuess:
     salient = mask_of_salient_object(images, transfer=transfer)
     figure = round(max(1 - (1 - salient[1]) / _SURE, 0.0), 2) if salient else 0.0
     if plain and contrast >= TRUSTED:
-        if salient is None or _overlap(plain[0], salient[0]) >= _AGREE:
+        if salient is None or overlap(plain[0], salient[0]) >= _AGREE:
             return MaskGuess(plain[0], contrast, "plain background")
         contrast = _CONTRADICTED
     if salient and figure >= TRUSTED:
@@ -102,10 +102,6 @@ def toggle_piece(
     if not whole:
         piece = _of_one_colour(picture, piece, (x, y))
     return mask & ~piece if mask[y, x] else mask | piece
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    return float((a & b).sum() / max((a | b).sum(), 1))
 
 
 def _of_one_colour(

@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from unips_jax.capture.background import disc
+from unips_jax.capture.background import disc, overlap
 from unips_jax.io.color import Transfer, as_linear
 
 _INPUT = 320  # pixels: that the network was trained with, and knows best
@@ -42,7 +42,7 @@ def mask_of_salient_object(
     scale = min(1.0, _SIDE / max(images.shape[1:3]))
     picture, top = _mean_picture(images, transfer, scale)
     salient = saliency(picture)
-    sure = _overlap(salient > 0.3, salient > 0.7)
+    sure = overlap(salient > 0.3, salient > 0.7)
     inside = salient > 0.5
     border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
     if inside.mean() < _LEAST or border.mean() > 0.5:
@@ -213,7 +213,3 @@ def _large_parts(mask: np.ndarray) -> np.ndarray:
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
     return (areas >= _PART * areas.max())[parts] if count > 1 else mask
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    return float((a & b).sum() / max((a | b).sum(), 1))
