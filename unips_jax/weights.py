@@ -63,7 +63,9 @@ def load_weights(source: str | os.PathLike[str]) -> UniversalNetwork:
                 for name in file.keys()  # noqa: SIM118
             }
     except (SafetensorError, OSError) as error:
-        raise _not_readable(path, error) from error
+        raise InputError(
+            f"{path}: expected a safetensors file, got: {error}"
+        ) from error
     if metadata.get("hash") != _hash(metadata["config"], arrays):
         raise InputError(
             f"{path}: damaged: its parameters are not those of its hash "
@@ -222,7 +224,3 @@ def random_weights(config: ModelConfig, *, seed: int = 0) -> UniversalNetwork:
     """An untrained network, as training starts from."""
     initial = jax.jit(init_params, static_argnums=0)
     return UniversalNetwork(config, initial(config, jax.random.key(seed)))
-
-
-def _not_readable(path: Path, error: Exception) -> InputError:
-    return InputError(f"{path}: expected a safetensors file, got: {error}")

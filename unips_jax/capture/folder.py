@@ -124,7 +124,7 @@ def _alike(
     kinds = dict(_KINDS)
     if transfer is None:
         kinds["mixed encodings"] = (
-            lambda h: f"{_encoding(h)} values",
+            lambda h: f"{h.encoding.transfer} values",
             "export all photographs in the same way, or give --transfer",
         )
     for kind, (of, fix) in kinds.items():
@@ -141,7 +141,3 @@ def _alike(
         )
         names -= set(others)
     return names, found
-
-
-def _encoding(header: Encoded) -> str:
-    return header.encoding.transfer

@@ -95,7 +95,7 @@ def decode_image(
     data: bytes, path: Path, *, vectors: bool = False, max_pixels: int = MAX_PIXELS
 ) -> ImageFile:
     """Decodes an image file's contents, as `read_image_file` does."""
-    header = _header(data, path, vectors, max_pixels)
+    header = image_header(data, path, vectors=vectors, max_pixels=max_pixels)
     pixels, alpha = _decoded(header, path)
     diagonal = math.hypot(header.height, header.width)
     return ImageFile(
@@ -108,9 +108,18 @@ def decode_image(
     )
 
 
-def image_header(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -> Encoded:
-    """An image file's header; pixels are not decoded."""
-    return _header(data, path, False, max_pixels)
+def image_header(
+    data: bytes, path: Path, *, vectors: bool = False, max_pixels: int = MAX_PIXELS
+) -> Encoded:
+    """An image file's header; pixels are not decoded. `vectors`: of normals."""
+    try:
+        header = open_encoded(data, vectors=vectors, suffix=path.suffix.lower())
+    except (NotRead, Damaged) as error:
+        raise _unreadable(path, error) from None
+    if max(header.height * header.width, header.allocated) > max_pixels:
+        size = f"{header.width} x {header.height} = {header.width * header.height:,}"
+        raise _too_large(path, size, max_pixels)
+    return header
 
 
 def check_image(data: bytes, path: Path) -> tuple[int, int, int, np.dtype]:
@@ -118,7 +127,7 @@ def check_image(data: bytes, path: Path) -> tuple[int, int, int, np.dtype]:
 
     A PNG by the checksums of its chunks; others are decoded, their values finite.
     """
-    header = _header(data, path, False, MAX_PIXELS)
+    header = image_header(data, path)
     if not header.checked:
         require_finite(path, _decoded(header, path)[0])
     height, width = header.height, header.width
@@ -203,17 +212,6 @@ def check_picture(path: Path, option: str) -> None:
             f"{option} {path}: expected a file that may be written to, got one that "
             "may not; choose another"
         )
-
-
-def _header(data: bytes, path: Path, vectors: bool, max_pixels: int) -> Encoded:
-    try:
-        header = open_encoded(data, vectors=vectors, suffix=path.suffix.lower())
-    except (NotRead, Damaged) as error:
-        raise _unreadable(path, error) from None
-    if max(header.height * header.width, header.allocated) > max_pixels:
-        size = f"{header.width} x {header.height} = {header.width * header.height:,}"
-        raise _too_large(path, size, max_pixels)
-    return header
 
 
 def _decoded(header: Encoded, path: Path) -> tuple[np.ndarray, np.ndarray | None]:
