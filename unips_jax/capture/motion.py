@@ -250,21 +250,24 @@ def _block_sums(values: np.ndarray) -> np.ndarray:
 def field_back(field: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """`moved_back` of an `edge_field`; 0 where it has no content."""
     real, imaginary = (
-        moved_back(np.ascontiguousarray(part), matrix, cv2.INTER_LINEAR, 0)
+        moved_back(np.ascontiguousarray(part), matrix, cv2.INTER_LINEAR, zeros=True)
         for part in (field.real, field.imag)
     )
     return real + 1j * imaginary
 
 
 def moved_back(
-    image: np.ndarray, matrix: np.ndarray, how: int, border: int | None = None
+    image: np.ndarray, matrix: np.ndarray, how: int, *, zeros: bool = False
 ) -> np.ndarray:
-    """What lies at `matrix @ (x, y, 1)` in the image, for each of its places."""
-    mode = cv2.BORDER_REPLICATE if border is None else cv2.BORDER_CONSTANT
+    """What lies at `matrix @ (x, y, 1)` in the image, for each of its places.
+
+    Beyond the image is its edge, or with `zeros` nothing.
+    """
+    border = cv2.BORDER_CONSTANT if zeros else cv2.BORDER_REPLICATE
     return cv2.warpAffine(
         image,
         matrix.astype(np.float64),
         image.shape[1::-1],
         flags=how | cv2.WARP_INVERSE_MAP,
-        borderMode=mode,
+        borderMode=border,
     )

@@ -52,7 +52,7 @@ def register(
             continue
         result[index] = moved_back(image, maps[index], cv2.INTER_CUBIC)
         inside = np.ones((height, width), np.uint8)
-        valid &= moved_back(inside, maps[index], cv2.INTER_NEAREST, 0) > 0
+        valid &= moved_back(inside, maps[index], cv2.INTER_NEAREST, zeros=True) > 0
     if result.dtype == np.float32:
         np.maximum(result, 0, out=result)
     return result, valid, maps
