@@ -266,10 +266,10 @@ def cache_compilations(folder: str | os.PathLike[str] | None = None) -> None:
         return
     # Without a home folder, of the environment or the user's, nothing is kept.
     with contextlib.suppress(RuntimeError):
-        place = _cache_folder() if folder is None else folder
         if folder is None:
-            _clear_halves(_cache_folder())
-        jax.config.update("jax_compilation_cache_dir", os.fspath(place))
+            folder = _cache_folder()
+            _clear_halves(folder)
+        jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
         jax.config.update("jax_compilation_cache_max_size", 2**30)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
