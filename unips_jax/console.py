@@ -175,7 +175,7 @@ def require_patterns(include: Sequence[str], exclude: Sequence[str]) -> None:
     """Refuses folders, which were meant to be worked on, and paths: no name fits."""
     for option, patterns in (("--include", include), ("--exclude", exclude)):
         for pattern in patterns:
-            if os.path.isdir(pattern):  # however long  # noqa: PTH112
+            if os.path.isdir(pattern):  # however long
                 raise InputError(
                     f"{option} {pattern}: expected a pattern of file names, got a "
                     "folder; name folders first"

@@ -60,7 +60,7 @@ def load_weights(source: str | os.PathLike[str]) -> UniversalNetwork:
                 _check_parameters(path, config, file)
             arrays = {
                 name: np.asarray(file.get_tensor(name), np.float32)
-                for name in file.keys()  # noqa: SIM118
+                for name in file.keys()
             }
     except (SafetensorError, OSError) as error:
         raise InputError(
@@ -101,7 +101,7 @@ def _check_values(
 
 def _check_parameters(path: Path, config: ModelConfig, file: Any) -> None:
     """Compares names, shapes and types, which need no parameter to be read."""
-    stored = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118
+    stored = {name: file.get_slice(name) for name in file.keys()}
     if config.num_blocks > len(stored):  # such a network would take long to lay out
         raise InputError(
             f"{path}: expected the parameters of {config.num_blocks} blocks, got "

@@ -104,7 +104,7 @@ def test_how_raw_files_of_no_tiffs_form_were_taken(tmp_path, monkeypatch):
         shutter_speed=1 / 60,
         aperture=8.0,
         iso_speed=200.0,
-        timestamp=datetime.datetime(2026, 11, 28, 10),  # noqa: DTZ001 as rawpy gives it
+        timestamp=datetime.datetime(2026, 11, 28, 10),  # as rawpy gives it
     )
     monkeypatch.setattr(camera, "_shot", lambda _: shot(SimpleNamespace(other=other)))
     header = read_image_file(path).header

@@ -143,7 +143,7 @@ def rewritten(path, **changes):
     """The file with other metadata."""
     with safe_open(path, framework="np") as file:
         metadata = file.metadata() | changes
-        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        arrays = {name: file.get_tensor(name) for name in file.keys()}
     save_file(arrays, path, metadata)
     return path
 

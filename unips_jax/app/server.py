@@ -7,7 +7,7 @@ import secrets
 import socket
 import threading
 import webbrowser
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from importlib import resources
 from pathlib import Path
 
@@ -139,7 +139,7 @@ def serve(
 
 
 @contextlib.contextmanager
-def listening(host: str, port: int | None):  # noqa: ANN201
+def listening(host: str, port: int | None) -> Iterator[socket.socket]:
     """A socket that listens there; `InputError` if it can't."""
     ports = range(PORT, PORT + _TRIED) if port is None else [port]
     family = socket.AF_INET6 if ":" in host else socket.AF_INET

@@ -283,7 +283,7 @@ def _look_through(path: Path, max_pixels: int) -> list[_Seen]:
 
 def _opened(path: Path) -> cv2.VideoCapture:
     # A relative "a:b" would name a protocol.
-    whole = os.path.abspath(path)  # noqa: PTH100
+    whole = os.path.abspath(path)
     try:
         whole.encode()
     except UnicodeEncodeError:  # which ends OpenCV's process

@@ -103,7 +103,7 @@ def header_of(plan: Plan, command: str) -> Header:
 
 def _shortened(command: str) -> str:
     """The command with the home folder as ~, where there is one."""
-    home = os.path.expanduser("~")  # noqa: PTH111 - which raises without one
+    home = os.path.expanduser("~")  # Path's raises without one
     if home in ("~", os.sep):
         return command
     return command.replace(home + os.sep, "~" + os.sep)

@@ -55,10 +55,10 @@ def input_record(
         "unips_jax": __version__,
         "code": code,
         "weights": weights,
-        "folder": os.path.abspath(selection.title),  # links stay  # noqa: PTH100
+        "folder": os.path.abspath(selection.title),  # links stay
         "images": {file.name: reader.hash(file) for file in selection.files},
         "left_out": selection.left_out,
-        "mask": None if mask is None else os.path.abspath(mask),  # noqa: PTH100
+        "mask": None if mask is None else os.path.abspath(mask),
         "mask_hash": None if mask is None else reader.hash(mask),
         "options": options,
     }

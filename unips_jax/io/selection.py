@@ -170,7 +170,7 @@ def folder_name(folder: Path) -> str:
 
     Links are not followed; bytes that are not Unicode are replaced by question marks.
     """
-    name = unicode_name(os.path.abspath(folder))  # noqa: PTH100
+    name = unicode_name(os.path.abspath(folder))
     if folder.is_file():
         return Path(name).stem
     return Path(name).name.removesuffix(".data")

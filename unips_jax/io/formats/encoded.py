@@ -27,7 +27,7 @@ _BOX_COLOURS = re.compile(rb"colrncl[xc](..)(..)", re.DOTALL)
 _UNSPECIFIED = (0, 2)  # transfer codes
 
 
-class NotRead(Exception):  # noqa: N818
+class NotRead(Exception):
     """A sound file of a kind that is not read; `fix` is what to do."""
 
     def __init__(self, kind: str, fix: str = "export it as PNG or TIFF") -> None:
@@ -35,7 +35,7 @@ class NotRead(Exception):  # noqa: N818
         self.fix = fix
 
 
-class Damaged(Exception):  # noqa: N818
+class Damaged(Exception):
     """A file that is cut short or changed; the text is how it shows."""
 
 

@@ -124,7 +124,7 @@ class UniPSNormals(desc.Node):
         ),
     ]
 
-    def processChunk(self, chunk: Any) -> None:  # noqa: N802 (Meshroom's name)
+    def processChunk(self, chunk: Any) -> None:  # as Meshroom calls it
         """Estimates every pose; called by Meshroom."""
         node = chunk.node
         options = {
