@@ -187,9 +187,9 @@ def known_lights(setting: Setting, line: str) -> Table:
         setting.run(part)
         word = part.partition("--workdir ")[2].partition(" ")[0]
         table = setting.tables(word)["summary"]
-        mean = table["columns"].index("Mean")
+        column = table["columns"].index("Mean")
         found = {names[row[0]]: row for row in _own(table)}
-        cells = _rounded([found[name][mean] for name in names.values()])
+        cells = _rounded([found[name][column] for name in names.values()])
         rows.append([word.rpartition("/")[2], *cells, found["exact"][-1]])
     return {"columns": ["", *names.values(), "sets"], "rows": rows}
 

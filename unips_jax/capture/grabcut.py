@@ -31,7 +31,7 @@ def grabcut_mask(
     scale = min(1.0, _SIDE / max(shape))
     size = max(1, round(shape[1] * scale)), max(1, round(shape[0] * scale))
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    drawn = [_reduced(strokes, size) for strokes in (inside, outside)]
+    drawn = [_reduced(painted, size) for painted in (inside, outside)]
     trimap = _trimap(small, drawn, None if box is None else [scale * v for v in box])
     mask = _cut(small, trimap)
     soft = cv2.resize(

@@ -36,7 +36,7 @@ class Chart(NamedTuple):
 def charts(results: Results) -> list[Chart]:
     """All charts that a run has data for."""
     drawn = [_error_chart(results), _interval_chart(results)]
-    drawn += [_images_chart(results, lit) for lit in results.lightings or (None,)]
+    drawn += [_images_chart(results, name) for name in results.lightings or (None,)]
     return [chart for chart in drawn if chart.legend]
 
 

@@ -73,8 +73,8 @@ def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibi
         panels = [_panel(store, result) for result in own]
         caption = _caption(entry.name, own[0])
         names = "\n".join(result.name for result in own)
-        digest = hashlib.blake2b(names.encode(), digest_size=4).hexdigest()
-        path = folder / f"{slug(entry.name)}-{digest}.png"
+        of_names = hashlib.blake2b(names.encode(), digest_size=4).hexdigest()
+        path = folder / f"{slug(entry.name)}-{of_names}.png"
         with store.claim("publish", wait=True):
             if not path.is_file():
                 write_whole(path, sheet(caption, case, panels))
@@ -84,7 +84,8 @@ def make_exhibits(plan: Plan, results: Results, store: Store) -> Iterator[Exhibi
 
 def header_of(plan: Plan, command: str) -> Header:
     """Where a report of this plan comes from; `command` is what was typed."""
-    digest = hashlib.blake2b("\n".join(plan.fingerprints).encode(), digest_size=8)
+    prints = "\n".join(plan.fingerprints)
+    of_data = hashlib.blake2b(prints.encode(), digest_size=8).hexdigest()
     keys = {variant.label: variant.key for variant in plan.variants}
     weights = {
         label: key.get("weights") or key.get("options", {}).get("weights", "")
@@ -94,7 +95,7 @@ def header_of(plan: Plan, command: str) -> Header:
     return Header(
         date=f"{now:%Y-%m-%d %H:%M} UTC",
         data=f"{plan.benchmark.name} in {plan.benchmark.root.resolve().name}, hash "
-        f"{digest.hexdigest()}",
+        f"{of_data}",
         command=_shortened(command),
         version=f"{__version__}, code {code_hash('evaluation.publish')}",
         weights={label: str(hash_) for label, hash_ in weights.items() if hash_},

@@ -106,8 +106,8 @@ def _shown(results: Results) -> list[Published]:
         groups.add("canonical size")
     if any("uniform contexts" in label for label in results.labels):
         groups.add("contexts")
-    known = comparable(results.benchmark, results.evaluated)
-    return [row for row in known if row.group in groups]
+    rows = comparable(results.benchmark, results.evaluated)
+    return [known for known in rows if known.group in groups]
 
 
 def _images(results: Results) -> Table:

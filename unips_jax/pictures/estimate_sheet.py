@@ -118,7 +118,7 @@ def _inputs(
     images: np.ndarray, view: tuple[slice, slice], encoded: bool
 ) -> list[np.ndarray]:
     chosen = np.linspace(0, len(images) - 1, _shown(len(images))).round().astype(int)
-    frame = _fit(np.ones((*images[0][view].shape[:2], 1), np.float32))
+    within = _fit(np.ones((*images[0][view].shape[:2], 1), np.float32))
     tiles = []
     for i in chosen:
         tile = _fit(images[i][view])
@@ -126,7 +126,7 @@ def _inputs(
             tile /= np.iinfo(images.dtype).max
         if not encoded:
             tile = srgb_encode(tile / max(float(np.percentile(tile, 99.5)), 1e-12))
-        tiles.append(_over_background(tile, frame))
+        tiles.append(_over_background(tile, within))
     return tiles
 
 
