@@ -27,6 +27,7 @@ from unips_jax.app.worker import Report
 from unips_jax.errors import InputError
 from unips_jax.io.door import writing
 from unips_jax.io.images import read_image_file, write_image
+from unips_jax.io.naming import VIDEO_SUFFIXES
 from unips_jax.pictures.maps import shrink
 
 
@@ -96,7 +97,6 @@ def look(
 def _unpack(container: Path, max_pixels: int) -> list[str]:
     """Puts a file's frames next to it; gives their names, none for a plain TIFF."""
     from unips_jax.capture.unpack import unpacked
-    from unips_jax.io.naming import VIDEO_SUFFIXES
 
     try:
         with unpacked(container, max_pixels=max_pixels) as folder:

@@ -11,8 +11,10 @@ from unips_jax.cycles.blender_process import Blender, find_python
 from unips_jax.cycles.run import Settings, render_set
 from unips_jax.errors import InputError
 from unips_jax.io.claims import make_folder
+from unips_jax.io.color import srgb_encode
 from unips_jax.io.door import write_whole
 from unips_jax.io.images import check_picture, encode_image
+from unips_jax.io.ps_wild import PSWildFolders, read_object
 
 PRESETS: dict[str, dict[str, Any]] = {
     "train": {"images": 10, "training": True},
@@ -135,9 +137,6 @@ def render(
 
 def contact_sheet(root: Path, *, tile: int = 128) -> np.ndarray:
     """A column per object: its normals, then two photographs under each lighting."""
-    from unips_jax.io.color import srgb_encode
-    from unips_jax.io.ps_wild import PSWildFolders, read_object
-
     folders = sorted(p for p in root.iterdir() if p.is_dir() and any(p.glob("*.data")))
     rows: dict[str, dict[str, np.ndarray]] = {"": {}}
     for place in folders:

@@ -16,7 +16,7 @@ from unips_jax.errors import InputError
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.io.color import Transfer
 from unips_jax.io.images import write_exr, write_image
-from unips_jax.lighting.light_fit import Lights
+from unips_jax.lighting.light_fit import Lights, estimate_lights
 from unips_jax.lighting.near import NearField, places_of
 
 if TYPE_CHECKING:
@@ -59,8 +59,6 @@ def estimate_extras(
     if isinstance(rig, Lights):
         lights = rig._replace(near=near)
     elif options.lights or options.base_color or options.rti:
-        from unips_jax.lighting.light_fit import estimate_lights
-
         lamps = found.lamps if rig is None else None
         guesses = _with_known(key_lights(found.lights, lamps), known)
         lights = estimate_lights(

@@ -40,8 +40,11 @@ from unips_jax.io.results import (
     read_record,
 )
 from unips_jax.io.selection import Selection
-from unips_jax.models.config import ModelConfig
+from unips_jax.lighting.known import read_known_lights
+from unips_jax.lighting.rig import read_rig, rig_file, turned_to
+from unips_jax.models.config import ModelConfig, require_known_lights
 from unips_jax.provenance import code_hash
+from unips_jax.surface.outputs import focal_of
 
 if TYPE_CHECKING:  # JAX is imported when there is something to estimate
     from unips_jax.models.network import UniversalNetwork
@@ -227,23 +230,17 @@ def estimate_selection(
         _check_use_of_lights(network)
     rig = None
     if options.lights_from is not None:
-        from unips_jax.lighting.rig import read_rig
-
         rig = read_rig(options.lights_from, selection.names)
     reader = HashingReader(options.max_pixels)
     looked = read_and_look(selection, options, reader, verbose=verbose)
     capture, warnings = looked.capture, looked.warnings
     images, mask, transfer = capture.images, capture.mask, capture.transfer
     if rig is not None and options.lights_from is not None:
-        from unips_jax.lighting.rig import turned_to
-
         rig = turned_to(rig, options.lights_from, capture.exif_orientation)
     warnings += _of_lists(options, capture.exif_orientation)
     made_from = _input_record(selection, network, options, reader)
     focal = None
     if options.focal is not None:
-        from unips_jax.surface.outputs import focal_of
-
         focal = focal_of(options.focal, capture.focal, selection.files[0], mask.shape)
     record = complete_record(
         made_from, images, mask, transfer, capture.transfer_rule, warnings
@@ -302,8 +299,6 @@ def estimate_selection(
 def _known_lights(selection: Selection, options: FolderOptions) -> np.ndarray | None:
     if not options.known_lights:
         return None
-    from unips_jax.lighting.known import read_known_lights
-
     return read_known_lights(options.known_lights, selection.names)
 
 
@@ -321,8 +316,6 @@ def _of_lists(options: FolderOptions, orientation: int) -> list[str]:
 
 
 def _check_use_of_lights(named: NamedNetwork) -> None:
-    from unips_jax.models.config import require_known_lights
-
     try:
         require_known_lights(named.network.config)
     except ValueError:
@@ -351,8 +344,6 @@ def _input_record(
     if options.dark is not None:
         chosen["dark"] = reader.hash(dark_file(selection.folder, options.dark))
     if options.lights_from is not None:
-        from unips_jax.lighting.rig import rig_file
-
         chosen["lights_from"] = file_hash(rig_file(options.lights_from))
     known = _known_lights(selection, options)
     chosen["known_lights"] = None

@@ -16,6 +16,9 @@ from unips_jax.io.normals import write_normals
 from unips_jax.io.record import print_line, summary
 from unips_jax.io.results import appearing_at_once, write_record
 from unips_jax.pictures.estimate_sheet import write_sheet
+from unips_jax.surface import outputs
+from unips_jax.surface.depth_files import read_depth
+from unips_jax.surface.mesh import NoTriangle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,9 +96,6 @@ def _write_surface(
     warnings: list[str],
     verbose: bool,
 ) -> dict[str, Any]:
-    from unips_jax.surface import outputs
-    from unips_jax.surface.mesh import NoTriangle
-
     colors = None
     if options.mesh and options.base_color:
         base_color = read_image_file(place / "base_color.png").pixels
@@ -123,7 +123,6 @@ def _write_view(
     place: Path, target: Path, estimate: Estimate, record: dict[str, Any]
 ) -> None:
     """Writes `view.html`, with an earlier one's notes; its depth is the files'."""
-    from unips_jax.surface.depth_files import read_depth
     from unips_jax.viewer.page import with_depth, write_view
     from unips_jax.viewer.result import Result, maps_of, photographs_of
 

@@ -25,6 +25,7 @@ from unips_jax.io.results import appearing_at_once, file_hash
 from unips_jax.models.config import ModelConfig
 from unips_jax.models.config_json import to_json
 from unips_jax.models.network import UniversalNetwork
+from unips_jax.version import __version__
 from unips_jax.weights import weights_hash
 
 Format = Literal["onnx", "stablehlo"]
@@ -172,8 +173,6 @@ def _in_half(x: np.ndarray) -> np.ndarray:
 
 
 def _versions() -> dict[str, str]:
-    from unips_jax.version import __version__
-
     return {"unips_jax": __version__, "jax": jax.__version__, "license": "Apache-2.0"}
 
 

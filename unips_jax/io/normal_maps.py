@@ -13,8 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.ndimage
+import tifffile
 
 from unips_jax.errors import InputError
+from unips_jax.io.formats.tiff import whole_pages
 from unips_jax.io.images import read_image_file
 from unips_jax.io.naming import VIDEO_SUFFIXES
 from unips_jax.io.normal_axes import SURE, facing, integrability, other_axes
@@ -90,10 +92,6 @@ def is_normal_map(path: Path) -> bool:
         return False
     if suffix not in (".tif", ".tiff"):
         return True
-    import tifffile
-
-    from unips_jax.io.formats.tiff import whole_pages
-
     try:
         with tifffile.TiffFile(path) as tiff:
             if int((tiff.imagej_metadata or {}).get("images", 1)) > 1:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 
 from unips_jax.errors import InputError
 from unips_jax.io.door import new_file
@@ -22,8 +23,6 @@ _TOP = 65535
 
 def read_depth(path: Path) -> np.ndarray:
     """Reads `depth.exr`: its channel Z as stored, `[H, W]`, float32."""
-    import OpenEXR
-
     if not path.is_file() or path.read_bytes()[:4] != MAGIC:
         raise InputError(
             f"{path}: expected depth as an EXR with channel Z, or a .npy, got another "

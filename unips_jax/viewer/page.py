@@ -11,7 +11,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import cv2
 import jinja2
+import numpy as np
 
 from unips_jax.io.door import write_whole
 from unips_jax.io.results import appearing_at_once, file_hash
@@ -96,9 +98,6 @@ def with_depth(result: Result) -> Result:
     """The result with a depth, integrated in the page's size if there is none."""
     if result.depth is not None:
         return result
-    import cv2
-    import numpy as np
-
     from unips_jax.surface.images import integrate_image
 
     view = view_of(result.inside, _SIDES[0])

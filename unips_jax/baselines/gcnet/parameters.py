@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
+from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from unips_jax.errors import InputError
@@ -99,8 +100,6 @@ def save_params(path: Path | str, params: Mapping[str, Any], network: Network) -
 
 def load_params(path: Path | str) -> tuple[dict[str, Any], Network]:
     """Reads what `save_params` wrote: parameters, float32, and the network's name."""
-    from safetensors import SafetensorError, safe_open
-
     try:
         with safe_open(path, framework="numpy") as file:
             network: Any = (file.metadata() or {}).get("network")
