@@ -11,7 +11,7 @@ import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -29,6 +29,10 @@ from unips_jax.io.door import writing
 from unips_jax.io.images import read_image_file, write_image
 from unips_jax.io.naming import VIDEO_SUFFIXES
 from unips_jax.pictures.maps import shrink
+
+if TYPE_CHECKING:  # what reads photographs is imported when there are some
+    from unips_jax.estimation.reading import Looked
+    from unips_jax.io.selection import Selection
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,31 +142,9 @@ def gather(
     Options are those of `FolderOptions`: transfer, register.
     """
     from unips_jax.capture.masks import mask_picture
-    from unips_jax.estimation.reading import chosen_photographs, read_and_look
-    from unips_jax.io.record import HashingReader
 
     report("reading", 0.0)
-    given, refused, odd = chosen, dict[str, str](), dict[str, str]()
-    while True:
-        how = chosen.options("auto", max_pixels, **options)
-        selection = chosen_photographs(chosen.folder, how)
-        try:
-            looked = read_and_look(
-                selection, how, HashingReader(max_pixels), verbose=False
-            )
-            break
-        except InputError as error:
-            name, text = _culprit(chosen, str(error))
-            if name is None or (name != chosen.mask and len(selection.files) < 2):
-                raise
-            refused[name] = text
-            chosen = _without(chosen, name)
-            first = selection.names[0]
-            if _most_differ(first, refused, given):
-                odd[first] = f"most others are not like it: {text}"
-                chosen = given = _without(given, first)
-                refused = {}
-    refused |= odd
+    selection, looked, refused = _read_together(chosen, options, max_pixels)
     capture, mask_from = looked.capture, "file"
     if selection.mask_file is None:
         mask_from = "suggested" if looked.facts["mask_suggested"] else "none"
@@ -189,6 +171,34 @@ def gather(
         "mask": mask_from,
         "findings": looked.facts["findings"],
     }
+
+
+def _read_together(
+    chosen: Chosen, options: dict[str, Any], max_pixels: int
+) -> tuple["Selection", "Looked", dict[str, str]]:
+    """What can be used together, and of the others each one's reason why not."""
+    from unips_jax.estimation.reading import chosen_photographs, read_and_look
+    from unips_jax.io.record import HashingReader
+
+    given, refused, odd = chosen, dict[str, str](), dict[str, str]()
+    while True:
+        how = chosen.options("auto", max_pixels, **options)
+        selection = chosen_photographs(chosen.folder, how)
+        reader = HashingReader(max_pixels)
+        try:
+            looked = read_and_look(selection, how, reader, verbose=False)
+            return selection, looked, refused | odd
+        except InputError as error:
+            name, text = _culprit(chosen, str(error))
+            if name is None or (name != chosen.mask and len(selection.files) < 2):
+                raise
+            refused[name] = text
+            chosen = _without(chosen, name)
+            first = selection.names[0]
+            if _most_differ(first, refused, given):
+                odd[first] = f"most others are not like it: {text}"
+                chosen = given = _without(given, first)
+                refused = {}
 
 
 def _culprit(chosen: Chosen, text: str) -> tuple[str | None, str]:

@@ -22,6 +22,7 @@ from unips_jax.estimation.reading import chosen_photographs, dark_file, read_and
 from unips_jax.estimation.writing import Estimate, write_estimate
 from unips_jax.io.door import write_json
 from unips_jax.io.orientation import ADVICE
+from unips_jax.io.photographs import Capture
 from unips_jax.io.record import (
     HashingReader,
     complete_record,
@@ -47,6 +48,7 @@ from unips_jax.provenance import code_hash
 from unips_jax.surface.outputs import focal_of
 
 if TYPE_CHECKING:  # JAX is imported when there is something to estimate
+    from unips_jax.estimation.streaming import NormalsAndLights
     from unips_jax.models.network import UniversalNetwork
 
 Progress = Callable[[int, int], None]
@@ -216,8 +218,6 @@ def estimate_selection(
     on_preview: Preview | None = None,
 ) -> Estimate:
     """Reads photographs, looks for faults, and estimates; see `estimate_folder`."""
-    from unips_jax.estimation.streaming import estimate_with_lights
-
     if verbose:
         print_selection(selection)
     if options.confidence and len(selection.files) < 2:
@@ -250,30 +250,16 @@ def estimate_selection(
         print_record(record)
         for warning in warnings:
             print(f"warning: {selection.title}: {warning}", file=sys.stderr)
-    estimate = functools.partial(
-        estimate_with_lights,
-        network.network,
-        images,
-        mask,
-        transfer=transfer,
-        frame=options.frame,
-        lights=known,
-        fast=options.fast,
+    found = _ask_network(
+        selection,
+        capture,
+        network,
+        options,
+        known,
+        verbose=verbose,
+        on_progress=on_progress,
+        on_preview=on_preview,
     )
-    if verbose:
-        with progress("estimating normals") as report:
-            found = estimate(progress=report)
-    else:
-        if on_progress is not None:
-            on_progress(0, int(np.count_nonzero(mask)))
-        found = estimate(progress=on_progress, preview=on_preview)
-    bad = np.count_nonzero(~np.isfinite(found.normals).all(axis=-1))
-    if bad:
-        raise InputError(
-            f"{selection.title}: expected normals, got values that are not finite at "
-            f"{bad} of {np.count_nonzero(mask)} pixels; nothing was written. Look for "
-            "extreme values in the photographs, or try other weights"
-        )
     look = functools.partial(
         estimate_extras,
         network.network,
@@ -294,6 +280,48 @@ def estimate_selection(
     return Estimate(
         images, mask, transfer, found.normals, record, focal, extras, to_srgb
     )
+
+
+def _ask_network(
+    selection: Selection,
+    capture: Capture,
+    network: NamedNetwork,
+    options: FolderOptions,
+    known: np.ndarray | None,
+    *,
+    verbose: bool,
+    on_progress: Progress | None,
+    on_preview: Preview | None,
+) -> "NormalsAndLights":
+    """The network's estimate, all finite; progress is shown, or reported."""
+    from unips_jax.estimation.streaming import estimate_with_lights
+
+    mask = capture.mask
+    estimate = functools.partial(
+        estimate_with_lights,
+        network.network,
+        capture.images,
+        mask,
+        transfer=capture.transfer,
+        frame=options.frame,
+        lights=known,
+        fast=options.fast,
+    )
+    if verbose:
+        with progress("estimating normals") as report:
+            found = estimate(progress=report)
+    else:
+        if on_progress is not None:
+            on_progress(0, int(np.count_nonzero(mask)))
+        found = estimate(progress=on_progress, preview=on_preview)
+    bad = np.count_nonzero(~np.isfinite(found.normals).all(axis=-1))
+    if bad:
+        raise InputError(
+            f"{selection.title}: expected normals, got values that are not finite at "
+            f"{bad} of {np.count_nonzero(mask)} pixels; nothing was written. Look for "
+            "extreme values in the photographs, or try other weights"
+        )
+    return found
 
 
 def _known_lights(selection: Selection, options: FolderOptions) -> np.ndarray | None:

@@ -31,6 +31,18 @@ _KINDS = {"lamp": 0.75, "both": 0.25, "surroundings": 0.0}
 _SAMPLE = 20000
 _BRIGHT = 0.8  # base colour that the brightest percent is brought to
 
+_CONVENTIONS = {
+    "frame": "x right, y up, z towards the viewer",
+    "direction": "unit, to the key light or, in surroundings, of all light's mean",
+    "directness": "1 for a lamp, 0 for light equally from everywhere",
+    "color": "irradiance of the key on what faces it, linear, relative to the "
+    "photographs' mean of all light",
+    "intensity": "mean of the color",
+    "harmonics": "radiance of all light in the same unit, [9][red, green, blue]: real, "
+    "orthonormal, in the order 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2",
+    "exif_orientation": "by which the photographs are turned, 1 as stored to 8",
+}
+
 
 def write_lights(
     folder: Path, names: Sequence[str], lights: Lights, *, orientation: int = 1
@@ -50,20 +62,9 @@ def write_lights(
         }
         for index, name in enumerate(names)
     ]
+    conventions = dict(_CONVENTIONS)
     content: dict[str, Any] = {
-        "conventions": {
-            "frame": "x right, y up, z towards the viewer",
-            "direction": "unit, to the key light or, in surroundings, of all light's "
-            "mean",
-            "directness": "1 for a lamp, 0 for light equally from everywhere",
-            "color": "irradiance of the key on what faces it, linear, relative to the "
-            "photographs' mean of all light",
-            "intensity": "mean of the color",
-            "harmonics": "radiance of all light in the same unit, [9][red, green, "
-            "blue]: real, orthonormal, in the order 1, y, z, x, xy, yz, 3z^2 - 1, xz, "
-            "x^2 - y^2",
-            "exif_orientation": "by which the photographs are turned, 1 as stored to 8",
-        },
+        "conventions": conventions,
         "exif_orientation": orientation,
         "photographs": photographs,
     }
@@ -73,14 +74,14 @@ def write_lights(
                 k for k, least in _KINDS.items() if share >= least
             )
             photograph["lamp_share"] = _rounded(share)
-        content["conventions"] |= {
+        conventions |= {
             "kind": "lamp, both or surroundings: a lamp gives three quarters of the "
             "light or more, one quarter or more, or less",
             "lamp_share": "of the power of all light, 0 to 1",
         }
     if lights.near is not None:
         content["lamp_distance"] = lights.near.distance
-        content["conventions"]["lamp_distance"] = (
+        conventions["lamp_distance"] = (
             "of near lamps from the photograph's middle, in its widths; directions and "
             "colors are those at the middle"
         )
