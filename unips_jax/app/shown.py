@@ -49,7 +49,7 @@ def whole(item: Object, desk: Desk, *, owner: bool) -> dict[str, Any]:
 
 
 def _results(item: Object) -> list[dict[str, Any]]:
-    """The files that the record names, and itself; empty if they are gone."""
+    """The files of the result, by name; empty if they are gone."""
     target = Path(item.target)
     try:
         return [

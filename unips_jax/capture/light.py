@@ -23,7 +23,10 @@ _ROUND = 0.3  # correlation from which on an object is somewhat round
 _LIT = 0.4  # share of the near side's light from which on the far one is lit too
 _ALONG = 10.0  # degrees from the lens' axis
 _ALONG_MOST = 15.0
-_SIDES = "right,upper right,top,upper left,left,lower left,bottom,lower right"
+_SIDES = (
+    *("right", "upper right", "top", "upper left"),
+    *("left", "lower left", "bottom", "lower right"),
+)
 _RANK = 3
 _MATTE = 0.01
 _CLEARLY = 2.7
@@ -160,7 +163,7 @@ def _beyond_rank(values: np.ndarray) -> float:
 
 
 def _side(index: int) -> str:
-    return _SIDES.split(",")[index % 8]
+    return _SIDES[index % 8]
 
 
 def _reduced(image: np.ndarray, scale: float) -> np.ndarray:

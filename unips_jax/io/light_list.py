@@ -23,7 +23,6 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
 
-
 _TAIL = r"(?:[eE][-+]?\d+)?"
 _COMMA = re.compile(rf"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+){_TAIL}")
 _POINT = re.compile(rf"[-+]?(?:\d+\.?\d*|\.\d+){_TAIL}")

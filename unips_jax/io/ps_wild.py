@@ -3,9 +3,9 @@
 A folder `X.data/` holds linear photographs, `0*` for training or `L*` for tests,
 `normal.tif`, 16 bit, see `io.normals`, and what is ours: `mask.png` and `meta.json`.
 The object is where | 1 - |n| | < 1e-3, and within the mask if there is one. Photographs
-that a display's curve is certain of, by their format or a tag, are refused.
-`baseColor.tif`, `roughness.tif`, `metal.tif`
-and `depth.exr`, where they are there, are never read.
+that certainly have a display's curve, by their format or a tag, are refused.
+`baseColor.tif`, `roughness.tif`, `metal.tif` and `depth.exr`, where they are there, are
+never read.
 
 `meta.json` may hold `seed`, `size`, `light`, `shape`, `material`, `category`; `focal`,
 the focal length in pixels; `focal_mm`, the same for a frame of 36 mm, null for an

@@ -165,8 +165,7 @@ def _mask_shown(record: dict[str, Any]) -> str:
     if record["mask_suggested"]:
         return (
             f"suggested by {record['mask_rule']} ({contrast:.2f}; --mask FILE or none "
-            "overrules; "
-            "see mask.png)"
+            "overrules; see mask.png)"
         )
     return f"none (no object found: {contrast:.2f})"
 

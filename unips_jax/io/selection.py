@@ -5,10 +5,10 @@ elsewhere every image file. Not a normal, depth or material map, a mask, ground 
 this package's own output, by their names (`is_map`; `plane_0.jpg` to `plane_5.jpg` next
 to its records), and never hidden files. Names decide only between files: if they leave
 none, or one beside three or more, a numbered series with such a word in its name
-(`metal_bowl_0.png`, ...) is taken.
-Patterns of the user's overrule names. An RTI's list of lights (.lp) names the
-photographs; one in two formats counts once. Files are in the natural order of their
-names (2 before 10); whatever is left out is listed with its reason.
+(`metal_bowl_0.png`, ...) is taken. The user's patterns overrule names. An RTI's list of
+lights (.lp) names the photographs; one in two formats counts once. Files are in the
+natural order of their names (2 before 10); whatever is left out is listed with its
+reason.
 """
 
 import dataclasses

@@ -35,7 +35,6 @@ _WHAT = {
     "unreliable.png": "white where the normals are not to be trusted",
 }
 
-
 _AXES = {
     "opengl": "x right, y up (OpenGL), z to the viewer",
     "directx": "x right, y down (DirectX), z to the viewer",

@@ -2,10 +2,16 @@
 
 A format is known by content, never by name, but for raw files of cameras that mark
 them in no way. Each has one reader for all its variants:
-TIFF tifffile; EXR OpenEXR; JPEG libjpeg-turbo by simplejpeg, which gives a decoder's
-warnings as errors; PNG, WebP and Radiance HDR imagecodecs; BMP, GIF, PBM, TGA and AVIF
-Pillow; HEIC pillow-heif and cameras' raw files rawpy, where these are installed. All
-raise on damaged data, in whatever thread. A kind that is not read is refused by its
+
+    tifffile       TIFF
+    OpenEXR        EXR
+    simplejpeg     JPEG, by libjpeg-turbo; a decoder's warnings are errors
+    imagecodecs    PNG, WebP, Radiance HDR
+    Pillow         BMP, GIF, PBM, TGA, AVIF
+    pillow-heif    HEIC, where it is installed
+    rawpy          cameras' raw files, where it is installed
+
+All raise on damaged data, in whatever thread. A kind that is not read is refused by its
 name.
 """
 
