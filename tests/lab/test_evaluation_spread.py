@@ -235,6 +235,16 @@ def test_what_is_no_work_folder_is_refused(tmp_path):
         unips_jax.load_results(tmp_path)
 
 
+@pytest.mark.parametrize("damaged", ["a,b,,,unips,4,-1,mae_deg,1", "a,b,,,unips,4"])
+@pytest.mark.parametrize("cut", [",", ",x", ",1,1"])
+def test_damaged_figures_are_refused(tmp_path, damaged, cut):
+    (tmp_path / "tables").mkdir()
+    rows = [",".join(figures.COLUMNS), "a,b,,,unips,4,-1,mae_deg,1.5", damaged + cut]
+    (tmp_path / "tables" / "figures.csv").write_text("\n".join(rows))
+    with pytest.raises(InputError, match=r"figures\.csv: expected a value in each"):
+        unips_jax.load_results(tmp_path)
+
+
 def test_figures_as_a_data_frame(work):
     pytest.importorskip("pandas", reason="pandas is not installed")
     frame = unips_jax.load_results(work).frame()

@@ -122,18 +122,22 @@ def load_results(workdir: str | os.PathLike[str]) -> Figures:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             names, *rows = csv.reader(file)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(
             f"{path}: expected what `unips eval --workdir {workdir}` writes ({error})"
         ) from error
     if tuple(names) != COLUMNS:
         raise InputError(f"{path}: expected the columns {', '.join(COLUMNS)}")
-    values = list(zip(*rows, strict=True)) or [()] * len(names)
-    columns = dict(zip(names, values, strict=True))
     numbers = {"images": int, "seed": int, "value": float}
-    return Figures(
-        **{
+    try:
+        values = list(zip(*rows, strict=True)) or [()] * len(names)
+        columns = {
             name: np.array([numbers.get(name, str)(v) for v in column])
-            for name, column in columns.items()
+            for name, column in zip(names, values, strict=True)
         }
-    )
+    except ValueError as error:
+        raise InputError(
+            f"{path}: expected a value in each column of each row, got a damaged file "
+            f"({error}); run `unips eval` again"
+        ) from error
+    return Figures(**columns)
