@@ -49,7 +49,10 @@ class Store:
                 f"{self.root}: cannot be the work folder ({error.strerror})"
             ) from error
         if not os.access(self.root / "results", os.W_OK):
-            raise InputError(f"{self.root}: cannot be written to")
+            raise InputError(
+                f"{self.root}: expected a work folder that can be written to, got one "
+                "that cannot; give another --workdir, or the right to write"
+            )
 
     @contextlib.contextmanager
     def claim(self, name: str, *, wait: bool = False) -> Iterator[bool]:

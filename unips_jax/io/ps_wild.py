@@ -74,9 +74,14 @@ def read_meta(folder: Path) -> dict[str, Any]:
     try:
         meta = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not JSON ({error})") from error
+        raise InputError(
+            f"{path}: expected JSON that can be read ({error}); mend or remove it"
+        ) from error
     if not isinstance(meta, dict):
-        raise InputError(f"{path}: expected a JSON object")
+        raise InputError(
+            f"{path}: expected a JSON object, got {type(meta).__name__}; mend or "
+            "remove it"
+        )
     return meta
 
 
@@ -86,7 +91,10 @@ def meta_focal(meta: Mapping[str, Any], path: Path) -> float | None:
     if focal is None:
         return math.inf if meta.get("focal_mm", 0) is None else None
     if not (isinstance(focal, (int, float)) and focal > 0):
-        raise InputError(f"{path}: focal is not a length")
+        raise InputError(
+            f"{path}: focal: expected a length in pixels, got {focal!r:.40}; mend or "
+            "remove it"
+        )
     return focal
 
 

@@ -162,7 +162,7 @@ class Benchmark(abc.ABC):
             if stack is None:
                 stack = np.empty((len(entry.images), *mask.shape, 3), image.dtype)
             elif image.dtype != stack.dtype:
-                raise InputError(f"{path}: {image.dtype}, the others {stack.dtype}")
+                raise _unlike(path, image.dtype, entry, stack.dtype)
             stack[i] = image
         assert stack is not None  # `find` never yields an entry without images
         images, notes = at_most_one(stack, mask)
@@ -195,9 +195,7 @@ class Benchmark(abc.ABC):
             self._check_image(path, channels, (height, width), mask.shape)
             first = first or dtype
             if dtype != first:
-                raise InputError(
-                    f"{path}: {dtype} pixels, but {entry.images[0].name} has {first}"
-                )
+                raise _unlike(path, dtype, entry, first)
             yield path, data
 
     def _digest(self, digest: "hashlib.blake2b", path: Path, data: bytes) -> None:
@@ -222,7 +220,9 @@ class Benchmark(abc.ABC):
         truth = self.truth(entry)
         where = f"{self.root}, {entry.name}"
         if not truth.mask.any():
-            raise InputError(f"{where}: the mask is empty")
+            raise InputError(
+                f"{where}: expected a mask of the object, got an empty one; mend it"
+            )
         count = len(entry.images)
         if truth.lights is not None and len(truth.lights.directions) != count:
             raise InputError(
@@ -304,6 +304,15 @@ def distant_lights(
         )
     return Lights(
         (directions / length).astype(np.float32), intensities.astype(np.float32)
+    )
+
+
+def _unlike(
+    path: Path, dtype: np.dtype, entry: Entry, expected: np.dtype
+) -> InputError:
+    return InputError(
+        f"{path}: expected {expected} pixels, as in {entry.images[0].name}, got "
+        f"{dtype}; export all photographs in the same way"
     )
 
 
