@@ -21,7 +21,7 @@ os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
 
 def pytest_configure(config: pytest.Config) -> None:
     """One compilation serves all test processes, and later runs."""
-    if config.cache is not None:
+    if getattr(config, "cache", None) is not None:  # none with `-p no:cacheprovider`
         os.environ.setdefault(
             "JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax"))
         )

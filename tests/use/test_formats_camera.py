@@ -257,6 +257,14 @@ def test_heic_and_avif_that_are_cut_out_or_damaged(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_pixels_of_heic_are_their_own(tmp_path):
+    """The decoder's memory ends with it, before pillow-heif 1.6."""
+    pixels = read_image_file(heic(tmp_path / "a.heic", smooth(np.uint8))).pixels
+    while isinstance(pixels.base, np.ndarray):
+        pixels = pixels.base
+    assert pixels.flags.owndata
+
+
 @pytest.mark.skipif(not features.check("avif"), reason="Pillow has no AVIF here")
 def test_avif(tmp_path):
     picture = smooth(np.uint8, height=HEIGHT, width=WIDTH)

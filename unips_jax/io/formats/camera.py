@@ -124,7 +124,8 @@ def open_heic(data: bytes) -> Encoded:
         channels,
         channels == 4,
         np.dtype(np.uint16) if deep else _BYTE,
-        lambda: turned_back(np.asarray(image), turn),
+        # A copy: before pillow-heif 1.6 the decoder's memory ends with it.
+        lambda: turned_back(np.array(image), turn),
         icc=image.info.get("icc_profile") or b"",
         code=code,
         **(facts | _colours(data, facts, bool(deep)) | {"orientation": turn}),
