@@ -21,8 +21,13 @@ def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
         DiLiGenT's published table counts it, and where both are: average inside the
         mask alone (`mean_angular_error_deg`). The gradient is 0 there, and where the
         vectors are parallel.
+
+    Raises:
+        ValueError: if the last axis is not of 3, or for unsigned integers, as of a
+            normal map that `read_normals` decodes.
     """
-    predicted, true = _of_unit_size(predicted), _of_unit_size(true)
+    predicted = _of_unit_size(_vectors("predicted", predicted))
+    true = _of_unit_size(_vectors("true", true))
     squared = jnp.sum(jnp.cross(predicted, true) ** 2, axis=-1)
     parallel = squared == 0
     # Both arguments of a `where` are differentiated: the one not taken must be finite.
@@ -33,9 +38,19 @@ def angular_error_deg(predicted: ArrayLike, true: ArrayLike) -> Array:
     return jnp.where(zero, 90.0, angle)
 
 
-def _of_unit_size(vectors: ArrayLike) -> Array:
+def _vectors(name: str, values: ArrayLike) -> Array:
+    values = jnp.asarray(values)
+    unsigned = jnp.issubdtype(values.dtype, jnp.unsignedinteger)
+    if values.shape[-1:] != (3,) or unsigned:
+        raise ValueError(
+            f"{name}: expected vectors [..., 3], got {values.dtype} of {values.shape}; "
+            "read_normals decodes a normal map"
+        )
+    return values.astype(jnp.float32)
+
+
+def _of_unit_size(vectors: Array) -> Array:
     """Scaled, so that no square leaves float32's range; angles stay."""
-    vectors = jnp.asarray(vectors, jnp.float32)
     largest = jnp.max(jnp.abs(vectors), axis=-1, keepdims=True)
     return vectors / jax.lax.stop_gradient(jnp.where(largest > 0, largest, 1.0))
 
@@ -45,8 +60,15 @@ def mean_angular_error_deg(
 ) -> Array:
     """Mean angle over the mask, in degrees; NaN if the mask is empty.
 
-    The mask, `[...]`, and the fields of vectors, `[..., 3]`, broadcast.
+    The mask, `[...]`, and the fields of vectors, `[..., 3]`, broadcast. What is outside
+    counts for nothing, and has no gradient, if it is NaN, too. `ValueError` as of
+    `angular_error_deg`.
     """
-    error = angular_error_deg(predicted, true)
-    inside, error = jnp.broadcast_arrays(jnp.asarray(mask) > 0, error)
-    return jnp.sum(jnp.where(inside, error, 0.0)) / jnp.sum(inside)
+    mask = jnp.asarray(mask)
+    inside = mask > jnp.zeros_like(mask)  # of its type, for strict promotion
+    # What has no gradient must be finite all the same: 0 times NaN is NaN.
+    predicted = jnp.where(inside[..., None], _vectors("predicted", predicted), 0)
+    true = jnp.where(inside[..., None], _vectors("true", true), 0)
+    inside, error = jnp.broadcast_arrays(inside, angular_error_deg(predicted, true))
+    count = jnp.sum(inside).astype(error.dtype)
+    return jnp.sum(jnp.where(inside, error, 0.0)) / count

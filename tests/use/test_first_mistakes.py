@@ -97,9 +97,15 @@ def test_normal_maps_of_integers_are_no_normals(tmp_path):
         unips_jax.write_normals(tmp_path, stored)
     with pytest.raises(ValueError, match=r"got float64 of \(3, 40, 40\)"):
         unips_jax.write_normals(tmp_path, NORMALS.transpose(2, 0, 1).astype(float))
+    with pytest.raises(ValueError, match=r"normal_map: expected one of \('opengl', "):
+        unips_jax.write_normals(tmp_path, NORMALS, normal_map="unity")
     assert not list(tmp_path.iterdir())
     with pytest.raises(ValueError, match="read_normals decodes a normal map"):
         relight(stored, Materials(0.5))
+    with pytest.raises(ValueError, match=r"predicted: expected vectors .* got uint8"):
+        unips_jax.mean_angular_error_deg(stored, NORMALS, MASK)
+    with pytest.raises(ValueError, match=r"true: expected vectors .*\(40, 40, 2\)"):
+        unips_jax.angular_error_deg(NORMALS, NORMALS[..., :2])
 
 
 def test_read_normals_takes_the_array_that_the_questions_name(tmp_path):

@@ -1,8 +1,10 @@
 """Lights of photographs, and base colours by them."""
 
 import json
+import warnings
 
 import cv2
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from lamp_photographs import (
@@ -83,6 +85,16 @@ def test_a_pixel_without_a_value_does_not_count(value):
         estimate_lights(images, NORMALS, MASK)
 
 
+def test_arrays_of_jax_are_numpys():
+    given = photographs()[:2], NORMALS, MASK
+    expected = estimate_lights(*given)
+    with warnings.catch_warnings(action="error"):  # float64, which JAX has not
+        lights = estimate_lights(*map(jnp.asarray, given))
+    np.testing.assert_allclose(lights.directions, expected.directions, atol=1e-6)
+    lights = estimate_lights(*(each.tolist() for each in given))
+    np.testing.assert_allclose(lights.directions, expected.directions, atol=1e-6)
+
+
 def test_one_photograph_has_a_light():
     grey = np.where(MASK[..., None], photographs()[:1] / texture(), 0)
     lights = estimate_lights(grey.astype(np.float32), NORMALS, MASK)
@@ -94,6 +106,7 @@ def test_one_photograph_has_a_light():
     [
         ({"images": np.ones((2, 40, 40))}, r"images: expected \[N, H, W, 3\]"),
         ({"normals": np.ones((3, 3, 3))}, r"normals: expected \(40, 40, 3\)"),
+        ({"normals": np.ones((40, 40, 3), np.uint8)}, "normals: expected floats of"),
         ({"mask": np.ones((2, 2))}, r"mask: expected \(40, 40\)"),
         ({"mask": np.zeros((40, 40))}, "expected some inside the mask, got none"),
         ({"guesses": np.ones((2, 3))}, r"guesses: expected \[N, 3\] = \(5, 3\)"),

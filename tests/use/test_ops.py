@@ -20,6 +20,19 @@ def test_one_mask_serves_several_estimates():
         assert mean_angular_error_deg(*pair) == pytest.approx(45, abs=1e-4)
 
 
+def test_what_is_outside_the_mask_may_be_nan():
+    """As true normals often are, and has no part in the derivatives; by any types."""
+    mask = np.array([[1, 1, 0, 0], [1, 0, 0, 0]], bool)
+    tilted = np.float32([1, 0, 1]) + np.zeros((2, 4, 3), np.float32)
+    true = np.where(mask[..., None], np.float32([0, 0, 1]), np.float32(np.nan))
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+        run = jax.value_and_grad(mean_angular_error_deg)
+        mean, slope = run(jnp.asarray(tilted), true, mask)
+    assert mean == pytest.approx(45, abs=1e-4)
+    expected = mask[..., None] * np.float32([1, 0, -1]) * 28.6479 / 3
+    np.testing.assert_allclose(slope, expected, atol=1e-4)
+
+
 @pytest.mark.parametrize("scale", [1e-30, 1e-12, 1.0, 1e12, 1e30])
 def test_lengths_do_not_matter_to_angles(scale):
     tilted, true = scale * jnp.float32([1, 0, 1]), jnp.float32([0, 0, 1])

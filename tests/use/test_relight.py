@@ -39,6 +39,22 @@ def test_lamps_and_surroundings_add_up():
     np.testing.assert_allclose(whole, sum(parts), atol=1e-5)
 
 
+def test_strict_promotion_is_enough():
+    """Of types and of ranks."""
+    lights = DistantLights(np.eye(3, dtype=np.float32), np.ones((3, 3), np.float32))
+
+    def loss(normals, around):
+        return relight(normals, GLOSSY, lights, around, focal=30).sum()
+
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+        for size in ((9, 3), (8, 16, 3)):
+            around = jax.ShapeDtypeStruct(size, jnp.float32)
+            slopes = jax.eval_shape(
+                jax.grad(loss, (0, 1)), jnp.asarray(NORMALS), around
+            )
+            assert slopes[1].shape == size
+
+
 def test_even_surroundings_show_the_albedo():
     """In the same light from everywhere a white furnace's matt surface is white."""
     image = relight(NORMALS, WHITE, environment=jnp.full((16, 32, 3), 0.7))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from unips_jax import integrate_image, integrate_normals
+from unips_jax.surface import integrate
 from unips_jax.surface.equations import statements
 from unips_jax.surface.integrate import read_prior
 
@@ -313,6 +314,28 @@ def test_vmap_is_the_loop_and_jit_is_eager():
         np.testing.assert_allclose(together[index], alone, rtol=1e-4, atol=1e-5)
 
 
+def test_any_arrays_will_do_and_one_compilation_serves_them():
+    normals, mask, _, _ = hemisphere(12)
+    integrate._integrate.clear_cache()
+    expected = integrate_normals(normals, mask, focal=30.0, rounds=1)
+    for given in (
+        (normals.tolist(), mask.tolist()),
+        (jnp.asarray(normals), mask.astype(np.uint8) * 255),
+    ):
+        found = integrate_normals(*given, focal=np.float64(30), rounds=1)
+        np.testing.assert_array_equal(found, expected)
+    assert integrate._integrate._cache_size() == 1
+
+
+def test_strict_promotion_is_enough():
+    """Of types and of ranks."""
+    normals, mask, depth, _ = hemisphere(12)
+    run = functools.partial(integrate_normals, prior=np.float32(depth), focal=30)
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+        assert jax.eval_shape(run, normals, mask).shape == mask.shape
+        integrate_image(normals, mask, prior=depth, max_rounds=1)
+
+
 def test_normals_may_have_any_length():
     normals, mask = small_surface(0)
     expected = integrate_normals(normals, mask, rounds=2)
@@ -356,6 +379,7 @@ def test_both_paths_agree():
     [
         ({"normals": np.zeros((4, 5))}, r"normals: expected \[H, W, 3\]"),
         ({"mask": np.ones((4, 4))}, r"normals: expected \(4, 4, 3\)"),
+        ({"normals": np.ones((4, 5, 3), np.uint8)}, "normals: expected floats of"),
         ({"prior": np.ones((4, 4))}, r"prior: expected \(4, 5\)"),
         ({"focal": 0.0}, "focal: expected pixels above 0, got 0.0"),
         ({"sharpness": -1.0}, "sharpness: expected 0 or more"),

@@ -50,7 +50,8 @@ def write_normals(
 
     `normals` are floats `[H, W, 3]`, unit length or 0; `normals.mat` is for MATLAB, key
     `Normal_est`; `normal_map` is the convention of the PNG and the EXR. `ValueError`
-    for another shape, or the integers of a normal map, which `read_normals` decodes.
+    for another shape or convention, or the integers of a normal map, which
+    `read_normals` decodes.
     """
     normals = np.asarray(normals)
     if normals.ndim != 3 or normals.shape[2] != 3 or normals.dtype.kind in "uib":
@@ -165,4 +166,8 @@ def true_pixels(normals: np.ndarray) -> np.ndarray:
 
 def turn_normals(normals: np.ndarray, normal_map: NormalMap) -> np.ndarray:
     """Normals of arrays as those of a map's convention, and back."""
+    if normal_map not in _SIGNS:
+        raise ValueError(
+            f"normal_map: expected one of {tuple(_SIGNS)}, got {normal_map!r}"
+        )
     return normals * np.array(_SIGNS[normal_map], normals.dtype)

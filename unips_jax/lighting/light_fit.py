@@ -95,8 +95,11 @@ def estimate_lights(
         Directions `[N, 3]`, colours and more of each light, float64; see `Lights`.
 
     Raises:
-        ValueError: if shapes do not fit, or no pixel has a normal.
+        ValueError: if shapes do not fit, normals are integers, or no pixel has a
+            normal.
     """
+    images, normals = np.asarray(images), np.asarray(normals)
+    mask = None if mask is None else np.asarray(mask)
     pixels, normal, index = _sample(images, normals, mask, transfer)
     count = len(pixels)
     if guesses is not None and np.shape(guesses) != (count, 3):
@@ -227,6 +230,11 @@ def _sample(
     if normals.shape != (*size, 3):
         raise ValueError(
             f"normals: expected {(*size, 3)} as of the images, got {normals.shape}"
+        )
+    if normals.dtype.kind in "uib":
+        raise ValueError(
+            f"normals: expected floats of unit length, got {normals.dtype}; "
+            "read_normals decodes a normal map"
         )
     if mask is not None and mask.shape != size:
         raise ValueError(f"mask: expected {size} as of the images, got {mask.shape}")

@@ -99,7 +99,8 @@ def relight(
     lamps = None if lights is None else _checked(lights)
     around = None if environment is None else _checked_environment(environment)
     distance = None if focal is None else jnp.asarray(focal, jnp.float32)
-    return _relight(normals, surface, lamps, around, distance)
+    with jax.numpy_rank_promotion("allow"):  # whatever the caller's
+        return _relight(normals, surface, lamps, around, distance)
 
 
 @jax.jit

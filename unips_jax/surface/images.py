@@ -19,7 +19,7 @@ from unips_jax.surface.integrate import (
     SHARPNESS,
     Prior,
     Solve,
-    check_shapes,
+    check_arrays,
     finish,
     read_prior,
     reweight,
@@ -62,7 +62,7 @@ def integrate_image(
     """Integrates an image of normals, as `integrate_normals` does.
 
     Args:
-        normals: `[H, W, 3]`.
+        normals: `[H, W, 3]`, floats.
         mask: `[H, W]`, above 0 where there is a surface; None: where normals are
             neither 0 nor NaN.
         focal: see there.
@@ -78,13 +78,14 @@ def integrate_image(
         The depth `[H, W]`, and how it was found; see `Integration`.
 
     Raises:
-        ValueError: if shapes or values are not as described.
+        ValueError: if shapes, types or values are not as described.
     """
     normals = np.asarray(normals)
     if normals.ndim != 3:
         raise ValueError(f"normals: expected [H, W, 3], got {normals.shape}")
     mask = np.ones(normals.shape[:2], bool) if mask is None else np.asarray(mask) > 0
-    check_shapes(normals.shape, mask.shape, None if prior is None else prior.shape)
+    prior = None if prior is None else np.asarray(prior)
+    check_arrays(normals, mask, prior)
     _check_values(focal, prior_weight, sharpness, max_rounds)
     inside = mask & np.isfinite(normals).all(-1) & (normals != 0).any(-1)
     depth = np.full(mask.shape, np.nan, np.float32)
@@ -168,7 +169,7 @@ def _round(
     new = reweight(stated, known, depth, sharpness, _SOLVE)
     # The mean: normals of noisy silhouettes never settle, and would rule the square.
     moved = jnp.where(stated.inside, jnp.abs(new - depth), 0)
-    return new, moved.sum() / stated.inside.sum()
+    return new, moved.sum() / stated.inside.sum().astype(moved.dtype)
 
 
 _finish = jax.jit(finish)

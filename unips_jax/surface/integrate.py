@@ -7,10 +7,12 @@ islands without a prior: what the weights cut off entirely stays where it is, an
 fixed point is the same.
 """
 
-from typing import NamedTuple
+import functools
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from unips_jax.surface.equations import (
     Edges,
@@ -48,19 +50,19 @@ class Prior(NamedTuple):
 
 
 def integrate_normals(
-    normals: jax.Array,
-    mask: jax.Array,
+    normals: ArrayLike,
+    mask: ArrayLike,
     *,
-    focal: jax.Array | float | None = None,
-    principal_point: tuple[jax.Array | float, jax.Array | float] | None = None,
-    prior: jax.Array | None = None,
-    prior_weight: jax.Array | float = PRIOR_WEIGHT,
-    sharpness: jax.Array | float = SHARPNESS,
+    focal: ArrayLike | None = None,
+    principal_point: tuple[ArrayLike, ArrayLike] | None = None,
+    prior: ArrayLike | None = None,
+    prior_weight: ArrayLike = PRIOR_WEIGHT,
+    sharpness: ArrayLike = SHARPNESS,
     rounds: int = 20,
 ) -> jax.Array:
     """Depth whose surface has these normals; breaks where they do not fit together.
 
-    A pure function for `jit`, `vmap` and `grad`: derivatives go through every round's
+    Pure and jitted, for `jit`, `vmap` and `grad`: derivatives go through every round's
     linear solve by the implicit function theorem, so that memory is one image a round.
     Each part of the mask that is connected by pixels' edges has its own offset (with
     perspective: scale), which normals leave open.
@@ -89,17 +91,40 @@ def integrate_normals(
         it have its mean. 0 outside the mask and in holes.
 
     Raises:
-        ValueError: if shapes do not fit, or `rounds` is negative.
+        ValueError: if shapes do not fit, `rounds` is negative, or normals are integers,
+            as of a normal map that `read_normals` decodes.
     """
-    check_shapes(normals.shape, mask.shape, None if prior is None else prior.shape)
+    normals, mask = jnp.asarray(normals), jnp.asarray(mask)
+    if prior is not None:
+        prior = jnp.asarray(prior, jnp.float32)
+    check_arrays(normals, mask, prior)
     if rounds < 0:
         raise ValueError(f"rounds: expected 0 or more, got {rounds}")
-    if focal is not None:
-        focal = jnp.asarray(focal, jnp.float32)
-    if principal_point is not None:
-        column, row = (jnp.asarray(place, jnp.float32) for place in principal_point)
-        principal_point = column, row
-    stated = statements(normals, mask > 0, focal, principal_point)
+    options: Any = {
+        "focal": focal,
+        "principal_point": principal_point,
+        "prior_weight": prior_weight,
+        "sharpness": sharpness,
+    }
+    # Of one type, however they are given: one compilation serves all.
+    options = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), options)
+    inside = mask > jnp.zeros_like(mask)  # of its type, for strict promotion
+    return _integrate(normals, inside, prior=prior, rounds=rounds, **options)
+
+
+@functools.partial(jax.jit, static_argnames="rounds")
+def _integrate(
+    normals: jax.Array,
+    mask: jax.Array,
+    *,
+    focal: jax.Array | None,
+    principal_point: tuple[jax.Array, jax.Array] | None,
+    prior: jax.Array | None,
+    prior_weight: jax.Array,
+    sharpness: jax.Array,
+    rounds: int,
+) -> jax.Array:
+    stated = statements(normals, mask, focal, principal_point)
     labels = label_islands(stated.inside)
     known, shift = read_prior(prior, prior_weight, stated.inside, labels, focal)
 
@@ -112,18 +137,23 @@ def integrate_normals(
     return finish(depth, stated.inside, known, shift, labels, focal)
 
 
-def check_shapes(
-    normals: tuple[int, ...], mask: tuple[int, ...], prior: tuple[int, ...] | None
-) -> None:
-    """Raises ValueError for shapes that do not fit."""
-    if len(mask) != 2 or 0 in mask:
-        raise ValueError(f"mask: expected [H, W], at least one pixel, got {mask}")
-    if normals != (*mask, 3):
+def check_arrays(normals: Any, mask: Any, prior: Any = None) -> None:
+    """Raises ValueError for shapes that do not fit, and for integers as normals."""
+    if len(mask.shape) != 2 or 0 in mask.shape:
+        raise ValueError(f"mask: expected [H, W], at least one pixel, got {mask.shape}")
+    if normals.shape != (*mask.shape, 3):
         raise ValueError(
-            f"normals: expected {(*mask, 3)} as of the mask, got {normals}"
+            f"normals: expected {(*mask.shape, 3)} as of the mask, got {normals.shape}"
         )
-    if prior is not None and prior != mask:
-        raise ValueError(f"prior: expected {mask} as of the mask, got {prior}")
+    if not jnp.issubdtype(normals.dtype, jnp.floating):
+        raise ValueError(
+            f"normals: expected floats of unit length, got {normals.dtype}; "
+            "read_normals decodes a normal map"
+        )
+    if prior is not None and prior.shape != mask.shape:
+        raise ValueError(
+            f"prior: expected {mask.shape} as of the mask, got {prior.shape}"
+        )
 
 
 def read_prior(
@@ -145,7 +175,7 @@ def read_prior(
     else:
         known &= prior > 0
         depth = focal * jnp.log(jnp.where(known, prior, 1))
-    shift = depth.sum() / jnp.maximum(known.sum(), 1)
+    shift = depth.sum() / jnp.maximum(known.sum(), 1).astype(depth.dtype)
     weight = jnp.where(known, weight, 0)
     _, pulled = island_means(weight, weight, labels)
     held = jnp.where(pulled > 0, 0, _HELD)

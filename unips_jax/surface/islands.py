@@ -44,7 +44,7 @@ def island_means(
     """The weighted mean of each island at its pixels, `[H, W]`, and sum of weights."""
     # Each row's pieces are summed first: in float32, millions of pixels added to one
     # sum one by one get lost (a count would end at 16.8 million).
-    column = jnp.arange(labels.shape[1], dtype=jnp.int32)
+    column = jnp.arange(labels.shape[1], dtype=jnp.int32)[None]
     begins = jnp.pad(labels[:, 1:] != labels[:, :-1], ((0, 0), (1, 0)))
     first = jax.lax.cummax(jnp.where(begins, column, 0), axis=1)
     piece = jnp.arange(labels.size, dtype=jnp.int32).reshape(labels.shape)
