@@ -62,13 +62,22 @@ def mean_angular_error_deg(
 
     The mask, `[...]`, and the fields of vectors, `[..., 3]`, broadcast. What is outside
     counts for nothing, and has no gradient, if it is NaN, too. `ValueError` as of
-    `angular_error_deg`.
+    `angular_error_deg`, or for shapes that do not fit.
     """
     mask = jnp.asarray(mask)
     inside = mask > jnp.zeros_like(mask)  # of its type, for strict promotion
+    predicted, true = _vectors("predicted", predicted), _vectors("true", true)
+    shapes = mask.shape, predicted.shape[:-1], true.shape[:-1]
+    try:
+        jnp.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ValueError(
+            f"mask: expected the shape of the vectors, {shapes[1]} and {shapes[2]}, "
+            f"got {shapes[0]}"
+        ) from None
     # What has no gradient must be finite all the same: 0 times NaN is NaN.
-    predicted = jnp.where(inside[..., None], _vectors("predicted", predicted), 0)
-    true = jnp.where(inside[..., None], _vectors("true", true), 0)
+    predicted = jnp.where(inside[..., None], predicted, 0)
+    true = jnp.where(inside[..., None], true, 0)
     inside, error = jnp.broadcast_arrays(inside, angular_error_deg(predicted, true))
     count = jnp.sum(inside).astype(error.dtype)
     return jnp.sum(jnp.where(inside, error, 0.0)) / count

@@ -177,3 +177,41 @@ def test_what_is_outside_the_mask_does_not_matter(outside, grid_loss):
 
     other = jnp.where(mask[..., None], normals, outside)
     assert float(loss(other)) == float(loss(normals))
+
+
+def test_strict_promotion_is_enough():
+    """Of types and of ranks."""
+    objects = losses.Objects(
+        jax.ShapeDtypeStruct((2, 3, 16, 12, 3), jnp.float32),
+        jax.ShapeDtypeStruct((2, 16, 12), jnp.bool),
+        jax.ShapeDtypeStruct((2, 16, 12, 3), jnp.float32),
+    )
+    keys, options = jax.random.split(jax.random.key(0), 2), losses.LossOptions(8)
+
+    def loss(network, objects):
+        return losses.training_loss(network, objects, keys, options)[0]
+
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+        jax.eval_shape(jax.grad(loss), lively_network(SHALLOW_OURS), objects)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (
+            {"images": (3, 16, 12, 3)},
+            r"images: expected \[B, N, H, W, 3\], got \(3, 16",
+        ),
+        ({"mask": (16, 12)}, r"mask: expected \(2, 16, 12\), got \(16, 12\)"),
+        ({"normals": (2, 16, 12, 2)}, r"normals: expected \(2, 16, 12, 3\), got"),
+        ({"keys": (1,)}, r"keys: expected \(2,\), got \(1,\); jax.random.split"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_named(changed, message):
+    shapes = {"images": (2, 3, 16, 12, 3), "mask": (2, 16, 12), "keys": (2,)}
+    shapes |= {"normals": (2, 16, 12, 3), **changed}
+    keys = jnp.zeros(shapes.pop("keys"), jnp.uint32)
+    objects = losses.Objects(**{k: np.ones(shape) for k, shape in shapes.items()})
+    with pytest.raises(ValueError, match=message):
+        options = losses.LossOptions(8)
+        losses.training_loss(lively_network(SHALLOW_OURS), objects, keys, options)

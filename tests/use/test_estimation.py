@@ -122,7 +122,7 @@ def test_no_mask_is_the_whole_image(network):
 def test_padded_sets(network):
     images, mask = ellipse_photographs()
     plain = estimate_normals(network, images, mask)
-    valid = np.array([True, True, True, False, False])
+    valid = [True, True, True, False, False]
     for value in (5, np.nan, np.inf):  # as of memory that nobody wrote
         rest = np.full((2, 23, 31, 3), value, np.float32)
         padded = np.concatenate([images, rest])

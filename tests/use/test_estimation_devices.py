@@ -103,14 +103,15 @@ images = jax.random.uniform(jax.random.key(0), (4, 16, 16, 3))
 expected = estimate_normals(network, images, mask)
 for kind in (AxisType.Auto, AxisType.Explicit):
     mesh = jax.make_mesh((2,), ("n",), axis_types=(kind,))
-    split = jax.device_put(images, NamedSharding(mesh, P("n")))
-    try:
-        found = estimate_normals(network, split, mask)
-    except ValueError as error:
-        print(kind, error)
-    else:
-        np.testing.assert_allclose(found, expected, atol=1e-5)
-        print(kind, "right")
+    split = [jax.device_put(x, NamedSharding(mesh, P("n"))) for x in (images, mask)]
+    for given in ((split[0], mask), (images, split[1])):
+        try:
+            found = estimate_normals(network, *given)
+        except ValueError as error:
+            print(kind, error)
+        else:
+            np.testing.assert_allclose(found, expected, atol=1e-5)
+            print(kind, "right")
 """
 
 
@@ -119,6 +120,7 @@ def test_meshes_of_explicit_axes_are_refused_in_one_line():
     run = subprocess.run(
         [sys.executable, "-c", EXPLICIT, here], capture_output=True, text=True
     )
-    auto, explicit = run.stdout.splitlines()
-    assert auto.endswith("Auto right")
-    assert "expected a mesh of AxisType.Auto, got Explicit axes ['n']" in explicit
+    *auto, of_images, of_mask = run.stdout.splitlines()
+    assert len(auto) == 2 and all(line.endswith("Auto right") for line in auto)
+    for line, name in ((of_images, "images"), (of_mask, "mask")):
+        assert f"{name}: expected a mesh of AxisType.Auto, got Explicit axes" in line

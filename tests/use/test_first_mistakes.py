@@ -104,6 +104,8 @@ def test_normal_maps_of_integers_are_no_normals(tmp_path):
         relight(stored, Materials(0.5))
     with pytest.raises(ValueError, match=r"predicted: expected vectors .* got uint8"):
         unips_jax.mean_angular_error_deg(stored, NORMALS, MASK)
+    with pytest.raises(ValueError, match=r"mask: .* \(40, 40\), got \(2, 40\)"):
+        unips_jax.mean_angular_error_deg(NORMALS, NORMALS, MASK[:2])
     with pytest.raises(ValueError, match=r"true: expected vectors .*\(40, 40, 2\)"):
         unips_jax.angular_error_deg(NORMALS, NORMALS[..., :2])
 

@@ -69,8 +69,8 @@ def estimate_normals(
 
     Raises:
         TypeError: if the network is not one.
-        ValueError: if the shapes do not fit each other, or the images are sharded over
-            Explicit axes of a mesh.
+        ValueError: if the shapes do not fit each other, or images, mask, `valid` or
+            lights are sharded over Explicit axes of a mesh.
 
     Source: UniPS (Ikehata, CVPR 2022), Sec. 4.
     """
@@ -78,23 +78,27 @@ def estimate_normals(
     check_images(network, images.shape)
     mask = jnp.ones(images.shape[1:3], bool) if mask is None else jnp.asarray(mask)
     check_mask(mask.shape, images.shape)
-    split = [axis for axis in jax.typeof(images).sharding.spec if axis is not None]
-    if split:
+    valid = None if valid is None else jnp.asarray(valid, bool)
+    if valid is not None and valid.shape != images.shape[:1]:
         raise ValueError(
-            f"images: expected a mesh of AxisType.Auto, got Explicit axes {split}; "
-            "make it by jax.make_mesh(..., axis_types=(AxisType.Auto,) * n)"
+            f"valid: expected one flag per image, {images.shape[:1]}, got {valid.shape}"
         )
-    if valid is not None and jnp.shape(valid) != images.shape[:1]:
-        raise ValueError(
-            f"valid: expected one flag per image, {images.shape[:1]}, got "
-            f"{jnp.shape(valid)}"
-        )
+    lights = None if lights is None else _checked_lights(network, images, lights)
+    given = {"images": images, "mask": mask, "valid": valid, "lights": lights}
+    for name, array in given.items():
+        spec = () if array is None else jax.typeof(array).sharding.spec
+        split = [axis for axis in spec if axis is not None]
+        if split:
+            raise ValueError(
+                f"{name}: expected a mesh of AxisType.Auto, got Explicit axes {split}; "
+                "make it by jax.make_mesh(..., axis_types=(AxisType.Auto,) * n)"
+            )
     return _estimate(
         network,
         images.astype(ops.wide_dtype(images.dtype)),
         mask.astype(bool),
-        None if valid is None else jnp.asarray(valid, bool),
-        None if lights is None else _checked_lights(network, images, lights),
+        valid,
+        lights,
         frame_kind=frame,
         uniform_contexts=uniform_contexts,
     )

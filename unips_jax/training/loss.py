@@ -152,10 +152,11 @@ def training_loss(
         where there are any.
 
     Raises:
-        ValueError: if the network sees details and `grid_loss` is wanted: the grid has
-            none; for `pixel_blocks` of images with an odd side; for known lights of a
-            network that has no use for them.
+        ValueError: for shapes that do not fit; if the network sees details and
+            `grid_loss` is wanted: the grid has none; for `pixel_blocks` of images with
+            an odd side; for known lights of a network that has no use for them.
     """
+    _require_shapes(objects, keys)
     require(
         not (network.config.sees_details and options.grid_loss),
         "grid_loss: expected False with a network that has fine_dim, got True",
@@ -255,6 +256,23 @@ def training_loss(
     return loss, metrics
 
 
+def _require_shapes(objects: Objects, keys: Array) -> None:
+    """Raises `ValueError` unless images, mask, normals and keys are of B objects."""
+    shape = objects.images.shape
+    require(
+        len(shape) == 5 and shape[-1] == 3,
+        f"images: expected [B, N, H, W, 3], got {shape}; of one object, images[None]",
+    )
+    batch, size = shape[0], shape[2:4]
+    for name, given, expected in (
+        ("mask", objects.mask.shape, (batch, *size)),
+        ("normals", objects.normals.shape, (batch, *size, 3)),
+        ("keys", keys.shape[:1], (batch,)),
+    ):
+        hint = "; jax.random.split(key, B)" * (name == "keys")
+        require(given == expected, f"{name}: expected {expected}, got {given}{hint}")
+
+
 def _guess_losses(
     guesses: Guesses, objects: Objects, frame_kind: FrameKind
 ) -> dict[str, Array]:
@@ -266,7 +284,7 @@ def _guess_losses(
         small = canonical_images(normals[None], mask, frame, grid)[0]
         true, inside = ops.normalize(small[..., :3]), small[..., 3]
         # A cell counts by its corner: its centre, whose normal it has, may be outside.
-        inside *= jnp.any(true != 0, axis=-1)
+        inside *= jnp.any(true != 0, axis=-1).astype(inside.dtype)
         distance = plain_distance(squared_distance(ops.normalize(guess), true))
         return jnp.sum(mean_weights(inside) * distance)
 
