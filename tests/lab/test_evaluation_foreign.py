@@ -334,3 +334,9 @@ def test_where_the_truth_is_withheld_slopes_tell(tmp_path, capsys, sign, warned)
     assert evaluation.main([*named, *chosen, request[0], f"{request[1]},z=away"]) == 0
     error = capsys.readouterr().err
     assert "z points away from the viewer (cat.npy); leave z=away out" in error
+
+
+def test_slopes_of_three_objects_in_four_decide():
+    """What is near 0 says nothing."""
+    assert "(correlation -0.30)" in axes.misfit([-0.5, -0.6, -0.5, 0.4, 0.1, -0.1])
+    assert axes.misfit([-0.5, -0.6, 0.5, 0.4]) == axes.misfit([-0.1]) == ""

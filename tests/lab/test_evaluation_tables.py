@@ -105,6 +105,15 @@ def test_tables_by_hand():
     ]
 
 
+def test_the_last_angles_are_all_above():
+    counts, sums = (0, 0, 0, 0, 2, 5), (0, 0, 0, 0, 8.0, 50.0)
+    score = Score(7, 50.0, 5.0, (1.0, 2.0, 3.0, 4.0), (), counts, sums, 0, 0)
+    entries = [result("x", "sun", "a", None, score)]
+    results = Results("mine", "native", {"a": ""}, (None,), entries)
+    (angles,) = (t for t in summary.tables(results) if t.name == "angles")
+    assert angles.values == [["60-75", 2, 4], ["75 and more", 5, 10]]
+
+
 def test_the_best_are_the_lowest_error_and_the_largest_share():
     """Among the methods that have all objects."""
     made = [

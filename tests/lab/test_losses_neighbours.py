@@ -119,6 +119,11 @@ def test_right_guesses_cost_nothing():
     losses_of = jax.jit(light_losses)
     for value in losses_of(right_guess(), lamp()).values():
         assert float(value) == pytest.approx(0, abs=1e-6)
+    # A distant lamp has no nearness, and darkness no harmonics to guess.
+    anywhere = right_guess()._replace(nearness=jnp.ones((1, 1)))
+    assert losses_of(anywhere, lamp())["lamps"] == pytest.approx(0, abs=1e-6)
+    dark = lamp(harmonics=jnp.zeros((1, 1, 9, 3)))
+    assert losses_of(right_guess(), dark)["harmonics"] == 0
     near = lamp(lamp_nearness=jnp.full((1, 1), 0.4))
     assert losses_of(right_guess(), near)["lamps"] > 1
     unknown = jnp.zeros((1, 1), bool)

@@ -76,6 +76,10 @@ def test_the_sun_is_the_key_light_or_a_lobe():
         expected = environment.scale[:, None] * expected
         np.testing.assert_allclose(keys.color, expected, rtol=1e-4, atol=1e-6)
         assert environment.color[0].max() == 0
+        # It stands where the picture has it, however that is turned and mirrored.
+        found = np.einsum("nij,nj->ni", environment.rotation, keys.vector)
+        place = tables.sun_directions[picture.number] * [picture.mirror, 1, 1]
+        np.testing.assert_allclose(found, [place] * 6, atol=1e-5)
         _, environment = mixed(seed)
         flux = environment.color[0] * 4 * np.prod(environment.half[0])
         expected = tables.sun_colors[picture.number] * picture.tint * picture.share
@@ -97,3 +101,7 @@ def test_without_photographs_lights_are_as_ever():
     np.testing.assert_allclose(seen, expected, rtol=1e-6)
     np.testing.assert_array_equal(keys.color, plain_keys.color)
     np.testing.assert_array_equal(keys.vector, plain_keys.vector)
+    # The sun turns with its sky, where it is always above.
+    found = np.einsum("nij,nj->ni", plain.rotation, keys.vector)
+    np.testing.assert_allclose(found, [found[0]] * 6, atol=1e-5)
+    assert found[0, 1] > 0

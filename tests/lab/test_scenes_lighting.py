@@ -1,5 +1,6 @@
 """Light and shadow on known objects against closed forms."""
 
+import functools
 import types
 
 import jax
@@ -246,6 +247,16 @@ def test_near_light_falls_off_with_the_square_of_the_distance():
     )
     assert [float(c[0]) for c in direction] == pytest.approx([0, 0, 1])
     assert (float(reach[0]), float(factor[0])) == pytest.approx((2, 0.25))
+
+
+def test_a_lamp_far_away_is_as_large_as_it_looks(sphere):
+    """A tenth of a radian, in its shadows' edges and in highlights."""
+    surface = matt(sphere)._replace(specular=jnp.float32(1))
+    towards, clear = jnp.array([0.0, 0.6, 0.8]), jnp.full(sphere.mask.size, 0.02)
+    lit = jax.jit(functools.partial(shading.shade_key_light, sphere, surface))
+    far = lit(towards, jnp.float32(0), jnp.float32(0.1), clear)
+    near = lit(500 * towards, jnp.float32(1), jnp.float32(50), clear)
+    np.testing.assert_allclose(near * 500**2, far, rtol=0.02, atol=1e-3)
 
 
 def test_open_irradiance_is_that_of_the_surroundings():

@@ -66,6 +66,9 @@ def test_thin_objects_keep_their_mask():
     mask = jnp.zeros((16, 16), bool).at[4:12, 7:9].set(True)
     made = rims.Rims(jnp.bool_(True), 1.0 * mask, jnp.zeros((1, 3, 16, 16)), -2.0)
     np.testing.assert_array_equal(rims.miss(made, mask), mask)
+    beside = jnp.where(jnp.arange(16) < 9, -2.0, 3.0)  # as many pixels, but others
+    found = rims.miss(made._replace(offset=beside), mask)
+    np.testing.assert_array_equal(found, mask)
 
 
 def test_masks_are_wrong_in_both_directions_and_exact(disc):

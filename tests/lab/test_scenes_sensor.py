@@ -49,3 +49,14 @@ def test_photographs_of_8_bits_are_made_linear_as_in_use():
     away = np.abs(np.asarray(images) - linear).mean(axis=(1, 2, 3, 4))
     assert 0.45 < np.mean(away < 0.004) < 0.68  # seven tenths of four fifths
     assert np.mean(away > 0.1) > 0.1
+
+
+def test_linear_photographs_of_8_bits_stay_linear():
+    config = SceneConfig(
+        linear_rate=1, eight_bit_rate=1, noise_rate=0, blur_rate=0, mask_error_rate=0
+    )
+    radiance, mask = jnp.full((2, 3, 8, 8), 0.1), jnp.ones((8, 8), bool)
+    take = jax.jit(lambda key: sensor.record(key, radiance, mask, config))
+    images, _, gain = take(jax.random.key(0))
+    linear = np.clip(radiance * gain[..., None, None], 0, 1)
+    np.testing.assert_allclose(images, linear, atol=1.1 / 255)

@@ -19,7 +19,11 @@ from unips_jax.training.config import (
     TrainConfig,
 )
 from unips_jax.training.loss import Objects
-from unips_jax.training.optimizer import make_optimizer, make_schedule
+from unips_jax.training.optimizer import (
+    _shorten_wide,
+    make_optimizer,
+    make_schedule,
+)
 from unips_jax.training.state import new_state
 from unips_jax.training.step import _untrained, augment, batch_gradient, train_step
 
@@ -139,6 +143,13 @@ def test_a_step_moves_no_output_far():
         update, _ = optimizer.update({"kernel": gradient}, state, {"kernel": kernel})
         moved = inputs @ update["kernel"].reshape(-1, 64)
         assert 1e-3 < abs(moved).max() < 0.03
+
+
+def test_steps_on_wide_convolutions_are_shortened_by_the_root():
+    shapes = {"wide": (3, 3, 256, 2), "narrow": (3, 3, 28, 2), "matrix": (2304, 2)}
+    found = _shorten_wide({name: np.ones(s) for name, s in shapes.items()}, None)
+    assert found["wide"].max() == found["wide"].min() == pytest.approx(1 / 3)
+    assert found["narrow"].min() == found["matrix"].min() == 1
 
 
 def test_augmented_normals_stay_those_of_the_surface():

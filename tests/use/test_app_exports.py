@@ -14,8 +14,13 @@ pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 
 import trimesh
 from app_client import photographs
+from colour_profiles import P3
+from PIL import Image
 from plain_objects import hemisphere
 
+from unips_jax.app import exports
+from unips_jax.app.work import Chosen
+from unips_jax.io.color import as_linear, icc_to_srgb, srgb_encode
 from unips_jax.io.results import write_record
 from unips_jax.surface.depth_files import write_depth
 
@@ -86,6 +91,17 @@ def test_photographs_that_were_moved_back_are_no_colours(done):
     facts, data = made(client, key, purpose="blender")
     model = trimesh.load(data, file_type="glb", force="mesh")
     assert model.visual.material.baseColorTexture is None and facts["faces"] > 100
+
+
+def test_colours_of_a_wide_profile_become_srgbs(tmp_path):
+    stored = np.full((4, 5, 3), (200, 60, 90), np.uint8)
+    Image.fromarray(stored).save(tmp_path / "0.png", icc_profile=P3)
+    chosen = Chosen(tmp_path, ("0.png",), None, ())
+    record = {"images": {"0.png": ""}, "transfer": "srgb"}
+    found = exports._colors(chosen, tmp_path, record, stored.shape, 10**6)
+    linear = as_linear(stored, "srgb") @ icc_to_srgb(P3).T
+    np.testing.assert_allclose(found, 255 * srgb_encode(linear), atol=2)
+    assert found[0, 0, 0] > 210
 
 
 def test_a_solid_to_print(done):

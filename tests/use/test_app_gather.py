@@ -11,7 +11,8 @@ pytest.importorskip("starlette", reason="starlette is not installed")
 from unips_jax.app import work
 from unips_jax.app.desk import Desk
 from unips_jax.app.limits import Limits
-from unips_jax.app.objects import Objects
+from unips_jax.app.objects import Object, Objects, Photograph
+from unips_jax.app.sorting import sort_out
 from unips_jax.io.door import NotWritten
 
 
@@ -87,6 +88,20 @@ def test_most_photographs_decide(tmp_path, odd, which, count, mask):
 def test_of_two_the_first_decides(tmp_path):
     used, refused = gathered(tmp_path, "curve", {1}, 2)
     assert used == {1} and list(refused) == ["2.png"]
+
+
+@pytest.mark.parametrize(
+    ("given", "aside"), [("auto", ["2.png"]), ("srgb", []), ("linear", [])]
+)
+def test_a_transfer_that_is_given_holds_for_all(tmp_path, given, aside):
+    photos = []
+    for name in ("0.png", "1.png", "2.png"):
+        transfer = "linear" if name == "2.png" else "srgb"
+        facts = {"width": 4, "height": 3, "type": "uint8", "transfer": transfer}
+        photos.append(Photograph(name, name, 9, "used", facts=facts))
+    item = Object("a", tmp_path, photographs=photos, options={"transfer": given})
+    sort_out(item)
+    assert [photo.name for photo in item.of_state("aside")] == aside
 
 
 def test_a_full_disk_leaves_a_draft(tmp_path, monkeypatch):

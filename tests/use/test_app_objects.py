@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import shutil
 import time
 
 import pytest
@@ -61,11 +62,20 @@ def test_objects_are_what_is_on_disk(tmp_path):
         assert found.photographs == item.photographs and found.mask == "drawn"
         copy = objects.again(found)
         assert copy.id != found.id and copy.state == "draft"
-        assert copy.options == {"mesh": False}
+        assert copy.options == {"mesh": False} and copy.mask == "drawn"
         assert (copy.inbox / "a.png").read_bytes() == b"1"
         assert copy.drawn.read_bytes() == b"mask"
         copy.drawn.write_bytes(b"other")
         assert found.drawn.read_bytes() == b"mask"
+
+
+def test_a_copied_folder_is_no_object(tmp_path):
+    with opened(tmp_path, days=30) as objects:
+        item = objects.begin()
+        shutil.copytree(item.folder, objects.place / f"{item.id} (copy)")
+    with opened(tmp_path, days=30) as objects:
+        (found,) = objects.all()
+        assert found.folder == item.folder
 
 
 def test_a_file_that_never_came_is_forgotten(tmp_path):
@@ -88,6 +98,8 @@ def test_targets_are_new_folders(tmp_path):
         first.mkdir()
         second = objects.target_for("my cat/..")
         assert second.name == f"{first.name}-2"
+        objects.begin().target = str(second)  # what waits has no folder yet
+        assert objects.target_for("my cat/..").name == f"{first.name}-3"
 
 
 def test_old_drafts_and_removed_objects_are_cleared(tmp_path):

@@ -70,6 +70,10 @@ def test_dark_frames_that_do_not_fit(folder):
     for name, said in (("small", "expected a dark frame as"), ("white", "less light")):
         with pytest.raises(InputError, match=rf"{name}\.png: .*{said}"):
             without_ambient(capture, read_image_file(folder / f"{name}.png"), names)
+    inside = np.where(capture.mask, 255, 0).astype(np.uint8)  # darker beside the object
+    cv2.imwrite(str(folder / "inside.png"), inside)
+    with pytest.raises(InputError, match="expected less light than in 0"):
+        without_ambient(capture, read_image_file(folder / "inside.png"), names)
 
 
 def test_a_dark_frame_turns_with_the_photographs(tmp_path):

@@ -7,8 +7,10 @@ import pytest
 from capture_checks import STRIPES, check, moved
 from plain_objects import lights, photographs
 
-from unips_jax.capture.motion import Motion, find_motion
+from unips_jax.capture.motion import Motion, _with_outlines, find_motion
+from unips_jax.capture.outline import OutlineShifts, _edges
 from unips_jax.capture.registration import _scaled, register
+from unips_jax.capture.shading import light_of
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -105,6 +107,34 @@ def test_shifts_of_three_pixels(name):
         right = np.flatnonzero(motion.moved).tolist() == [which]
         found += right and np.hypot(*(motion.offsets[which] - shift)) < 1
     assert found >= 19
+
+
+def test_pictures_of_light_are_linear():
+    for levels, light in ((np.uint8(128), 0.2159), (np.uint16(32768), 0.5)):
+        found = light_of(np.full((9, 9, 3), levels), 1.0)
+        np.testing.assert_allclose(found, light, atol=1e-4)
+
+
+@pytest.mark.parametrize("edge", [-2.4, 0.1, 0.3, 1.7])
+def test_edges_are_found_between_the_steps(edge):
+    x = np.arange(60, dtype=np.float32)
+    grey = np.tile(1 / (1 + np.exp((x - 30 - edge) / 1.2)), (40, 1))
+    places = np.stack([np.full(20, 30), np.arange(10, 30)], -1).astype(np.float32)
+    outward = np.tile(np.float32([1, 0]), (20, 1))
+    found, clear = _edges(grey.astype(np.float32), places, outward)
+    np.testing.assert_allclose(found, edge, atol=0.1)
+    assert clear.all()
+
+
+@pytest.mark.parametrize(("count", "believed"), [(3, True), (4, False)])
+def test_outlines_that_lie_apart_in_most_photographs_move_none(count, believed):
+    offsets = np.zeros((6, 2))
+    offsets[:count] = 5, -2
+    agree, still = (np.where(offsets.any(1), *x) for x in ((0.9, 0), (0.1, 0.9)))
+    stood = Motion(np.zeros((6, 2)), np.ones(6), 5, 1.5)
+    found = _with_outlines(stood, OutlineShifts(offsets, agree, still))
+    np.testing.assert_array_equal(found.offsets, believed * offsets)
+    assert found.moved.sum() == believed * count
 
 
 def test_registration_undoes_shifts_and_turns():

@@ -15,7 +15,13 @@ from unips_jax.estimation import pure
 from unips_jax.estimation.streaming import estimate_photographs
 from unips_jax.models import chunks
 from unips_jax.models.network import Encoding, encode, with_uniform_contexts
-from unips_jax.models.views import Views, canonical_images, square_frame
+from unips_jax.models.views import (
+    Frame,
+    Views,
+    canonical_images,
+    context_cells,
+    square_frame,
+)
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +117,17 @@ def test_canonical_images_are_resized_ones(antialias):
         small = canonical_images(flat, jnp.asarray(mask), frame, 16, antialias)
         expected = 0.7 * jnp.repeat(small[..., 3:], 3, axis=-1)
         np.testing.assert_allclose(small[..., :3], expected, atol=1e-6)
+
+
+def test_contexts_are_read_at_the_middles_of_pixels():
+    """Those of the authors' released weights at their corners."""
+    released = dataclasses.replace(SHALLOW, context_sampling="corner")
+    frame = Frame(*np.int32([-3, 5, 2 * SHALLOW.context_size]))
+    places = np.array([0, 1, 7])
+    for config, middle in ((SHALLOW_OURS, 0.5), (SHALLOW, 0.5), (released, 0.0)):
+        rows, columns = context_cells(places, places + 8, frame, config)
+        np.testing.assert_allclose(rows, (places + 3 + middle) / 2 - 0.5)
+        np.testing.assert_allclose(columns, (places + 3 + middle) / 2 - 0.5)
 
 
 def test_no_mask_is_the_whole_image(network):

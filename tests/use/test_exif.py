@@ -22,6 +22,7 @@ from unips_jax.errors import InputError
 from unips_jax.io.formats.encoded import facts_of
 from unips_jax.io.images import read_image, read_image_file
 from unips_jax.io.official_photographs import read_official
+from unips_jax.io.orientation import as_oriented
 from unips_jax.io.photographs import read_capture, read_photographs
 from unips_jax.io.selection import select
 
@@ -116,6 +117,8 @@ def test_opacity_turns_with_the_image(tmp_path, orientation, dtype):
         path.write_bytes(turned(path.read_bytes(), orientation))
         file = read_image_file(path)
         np.testing.assert_array_equal(file.alpha, file.pixels[..., 0])
+        again = as_oriented(file, 6)  # where the others of a set lie so
+        np.testing.assert_array_equal(again.alpha, again.pixels[..., 0])
 
 
 @pytest.mark.parametrize("block", [b"", b"II*\0", b"\xff\xd8\xff\xe1", b"II*\0" * 9])

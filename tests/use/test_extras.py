@@ -1,10 +1,12 @@
 """What `unips estimate` writes beside normals and depth, and confidence."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from colour_profiles import P3
 from estimate_runs import pot, run
 from lamp_photographs import (
@@ -35,6 +37,7 @@ from unips_jax.io.color import icc_to_srgb, srgb_encode
 from unips_jax.io.images import read_image
 from unips_jax.io.photographs import read_photographs, select
 from unips_jax.lighting import ptm
+from unips_jax.lighting.light_files import write_base_color
 from unips_jax.weights import save_weights
 
 
@@ -117,6 +120,18 @@ def test_all_is_everything():
     names = ("depth", "lights", "base_color", "rti", "confidence", "view")
     assert all(getattr(whole, name) for name in names)
     assert FolderOptions().spelled_out() == FolderOptions()
+    FolderOptions(all=True, lights_from=Path("a.lp"), lamp_distance=2.0).check()
+
+
+def test_a_mesh_has_the_base_colour(tmp_path):
+    color = np.where(MASK[..., None], np.float32([0.5, 0.2, 0.05]), 0)
+    write_base_color(tmp_path, color)
+    given = photographs(), MASK, "linear", NORMALS.astype(np.float32)
+    options = FolderOptions(mesh="ply", base_color=True)
+    writing._write_surface(tmp_path, Estimate(*given, {}), options, [], False)
+    mesh = trimesh.load(tmp_path / "mesh.ply", process=False)
+    expected = np.rint(255 * srgb_encode(np.array([0.5, 0.2, 0.05])))
+    assert (np.abs(mesh.visual.vertex_colors[:, :3] - expected) <= 1).all()
 
 
 def test_estimate_writes_what_is_asked_for(tmp_path):

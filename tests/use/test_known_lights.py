@@ -68,6 +68,17 @@ def test_what_is_mirrored_gives_mirrored_normals(photographs):
     np.testing.assert_allclose(turned[:, ::-1] * mirror, normals, atol=2e-5)
 
 
+def test_lights_of_images_that_do_not_count_have_no_say(photographs):
+    images, mask, lights = photographs
+    valid, unread = np.array([True, False, True]), lights.copy()
+    unread[1] = np.nan  # as of memory that nobody wrote
+    found, expected = (
+        estimate_normals(network(), images, mask, valid=valid, lights=given)
+        for given in (unread, np.where(valid[:, None], lights, 0))
+    )
+    np.testing.assert_array_equal(found, expected)
+
+
 def test_networks_of_half_precision_take_lights_too(photographs):
     images, mask, lights = photographs
     half = jax.tree.map(lambda x: x.astype(jnp.bfloat16), network())

@@ -62,6 +62,13 @@ def test_ways_to_write_the_same(tmp_path, style, coding):
     np.testing.assert_allclose(found.lights, LIGHTS, rtol=1e-5)
 
 
+def test_names_may_be_numbers(tmp_path):
+    (tmp_path / "a.lp").write_text("2\n7 0 0 1\n08 0 1 0\n")
+    found = read_light_list(tmp_path / "a.lp")
+    assert found.names == ("7", "08") and found.problems == ()
+    np.testing.assert_array_equal(found.lights, [[0, 0, 1], [0, 1, 0]])
+
+
 def test_places_in_pixels(tmp_path):
     pixels = np.array([[340, 220], [12.5, 7], [0, 0], [1, 2]])
     for number, between in enumerate(" ,;"):

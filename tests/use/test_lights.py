@@ -56,6 +56,15 @@ def test_surroundings_beside_the_lamp():
     assert even / lights.colors.mean() == pytest.approx(0.4 / COLORS.mean(), rel=0.25)
 
 
+def test_there_is_no_negative_light():
+    """As of a series of harmonics that is cut off."""
+    lights = estimate_lights(photographs(), NORMALS, MASK, guesses=DIRECTIONS)
+    dark = lights._replace(
+        surroundings=lights.surroundings - 10 * (np.arange(9) == 0)[:, None]
+    )
+    assert (irradiance(dark, NORMALS[MASK]) == 0).all()
+
+
 def test_light_without_a_direction_comes_from_the_viewer():
     guesses = DIRECTIONS * [[1], [0], [1], [1], [1]]
     lights = estimate_lights(photographs(0.4), NORMALS, MASK, guesses=guesses)

@@ -78,6 +78,8 @@ def test_transparent_parts_of_a_black_and_white_mask_are_outside(tmp_path):
     expected = np.zeros((HEIGHT, WIDTH), bool)
     expected[3:5, 4:8] = True
     np.testing.assert_array_equal(read_mask(save(path, picture)), expected)
+    picture[3:5, 4:8, :3], picture[5:, :, :3] = 100, 255  # hidden white decides nothing
+    np.testing.assert_array_equal(read_mask(save(path, picture)), expected)
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".webp", ".png"])
@@ -175,6 +177,14 @@ def test_next_to_black_less_than_32_levels_are_left_out():
         assert lit[:, :3].all() == (black > 2)
 
 
+def test_white_is_the_objects_not_a_lamps_beside_it():
+    brightest = np.full((5, 12), 255, np.uint8)
+    brightest[:, :9] = np.repeat([0, 30, 150], 3)
+    mask = np.zeros((5, 12), bool)
+    mask[:, :9] = True
+    assert lit_pixels(brightest, "srgb", mask)[:, 3:].all()
+
+
 def test_nearly_black_is_a_share_of_light_however_values_encode_it():
     brightest = np.full((5, 9), 255, np.uint8)
     every = np.ones((5, 9), bool)
@@ -233,6 +243,11 @@ def test_photographs_that_are_cut_out(tmp_path, suffix):
     for i in range(3):
         save(tmp_path / f"{i}{suffix}", np.dstack([smooth(np.uint8, i), half]))
     assert read_capture(select(tmp_path)).mask.all()
+    save(tmp_path / f"1{suffix}", np.dstack([smooth(np.uint8, 1), alpha]))
+    alpha = np.roll(alpha, 7, axis=1)
+    save(tmp_path / f"0{suffix}", np.dstack([smooth(np.uint8), alpha]))
+    both = (alpha == 255) & (np.roll(alpha, -7, axis=1) == 255)
+    np.testing.assert_array_equal(read_capture(select(tmp_path)).mask, both)
 
 
 def test_masks_of_other_formats(tmp_path):
@@ -282,6 +297,15 @@ def test_black_is_black_whatever_the_bits(noise):
         assert (lit != inside).sum() < 0.01 * inside.sum(), name
     with_light = np.where(inside, light, 0.1).astype(np.float32)
     assert lit_without_mask(with_light, "linear").all()  # no black background
+
+
+def test_noise_hides_no_object_of_four_percent_of_white():
+    """Dim parts that reach the frame, before a dark background of much noise."""
+    rng = np.random.default_rng(0)
+    light = rng.uniform(0, 0.05, (60, 80)).astype(np.float32)
+    light[20:40, 30:] = 0.04
+    light[20:40, 30:60] = 1
+    assert lit_without_mask(light, "linear")[20:40, 30:].all()
 
 
 def test_hot_pixels_in_the_dark_are_no_object():

@@ -250,6 +250,7 @@ def test_sfm_data_has_scaled_lenses_and_pictures(tmp_path, version):
         assert data["poses"] == original["poses"]
         for index, view in enumerate(data["views"]):
             assert view["path"] == str((out / kind / f"{index:03}.png").resolve())
+            assert (view["width"], view["height"]) == ("30", "22")
         (lens,) = data["intrinsics"]
         assert (lens["width"], lens["height"]) == (str(WIDTH // 2), str(HEIGHT // 2))
         # Millimetres stay, pixels are half as many.

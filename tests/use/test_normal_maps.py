@@ -175,6 +175,9 @@ def test_what_is_transparent_is_no_surface():
         found = examine_normals(encoded(normals), alpha=alpha)
         expected = mask & ~rim if level < 127 else mask
         np.testing.assert_array_equal(found.normals.any(-1), expected)
+    found = examine_normals(encoded(normals), alpha=np.zeros_like(alpha))
+    np.testing.assert_array_equal(found.normals.any(-1), mask)  # no program set it
+    assert not found.mended
     heights = np.linspace(0, 255, mask.size).reshape(mask.shape).astype(np.uint8)
     found = examine_normals(encoded(normals), alpha=heights)
     np.testing.assert_array_equal(found.normals.any(-1), mask)
@@ -206,6 +209,35 @@ def test_what_is_certain_is_mended_and_reported(change, line):
         found = examine_normals(change(normals))
         assert degrees(found.normals, normals) < 1.5
         assert line in " ".join(found.mended) and not found.doubts
+
+
+def test_floats_that_stand_for_others_may_be_0():
+    """As those of a sphere's left side, stored as levels."""
+    normals = hemisphere(200)[0]
+    levels = np.floor((normals + 1) * 127.5)
+    assert levels[normals.any(-1)].min() == 0
+    found = examine_normals(levels)
+    assert degrees(found.normals, normals) < 1.5
+    assert "values lie between 0 and 255" in found.mended[0]
+
+
+@pytest.mark.parametrize(
+    ("signs", "line"),
+    [
+        ((1, 1, -1), "z points away from the viewer: turned"),
+        ((1, -1, -1), "read as --normal-map opencv"),
+        ((-1, -1, -1), "normals point into the surface"),
+    ],
+)
+def test_the_outline_tells_where_slopes_do_not(signs, line):
+    """Leaves, say, whose slopes fit together in no way."""
+    normals, mask, _ = dome()
+    noise = np.random.default_rng(0).normal(0, 0.25, (*mask.shape, 2))
+    normals[..., :2] += mask[..., None] * noise
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
+    assert abs(integrability(normals)) < 0.2
+    found = examine_normals(normals * np.float32(signs))
+    assert degrees(found.normals, normals) < 0.1 and line in found.mended[0]
 
 
 def test_what_faces_away_a_little_is_kept():

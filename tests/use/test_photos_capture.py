@@ -8,6 +8,8 @@ import pytest
 
 from unips_jax.capture import prepare
 from unips_jax.capture.advice import look_at_values
+from unips_jax.capture.masks import mask_picture, toggle_piece
+from unips_jax.io.color import srgb_encode
 from unips_jax.io.photographs import Capture
 
 
@@ -139,3 +141,43 @@ def test_a_found_mask_keeps_out_what_was_left_out(monkeypatch):
     opaque[45, 20] = expected[45, 20] = False
     capture = Capture(images, images[0].any(axis=-1) & opaque, "srgb", opaque=opaque)
     np.testing.assert_array_equal(prepare.with_suggested_mask(capture).mask, expected)
+
+
+def test_a_diagonal_line_closes_a_hole_and_is_one_piece():
+    away = np.abs(np.arange(40) - 12)
+    away = away[:, None] + away
+    picture = np.full((40, 40, 3), 40, np.uint8)
+    picture[:12] = 200
+    mask = away == 7
+    mask[:, 24:] = True
+    filled = toggle_piece(mask, picture, (12, 14))
+    np.testing.assert_array_equal(filled, mask | (away < 7))
+    np.testing.assert_array_equal(
+        toggle_piece(mask, picture, (12, 5)), mask & (away != 7)
+    )
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_what_reaches_the_frame_is_no_hole(turns):
+    """Of it only what has the colour that was clicked is taken."""
+    picture = np.full((40, 40, 3), 40, np.uint8)
+    picture[:12] = 200
+    mask, upper = np.ones((40, 40), bool), np.zeros((40, 40), bool)
+    mask[8:16, 30:], upper[8:12, 30:] = False, True
+    spot = np.zeros((40, 40), bool)
+    spot[10, 35] = True
+    picture, mask, upper, spot = (
+        np.rot90(x, turns) for x in (picture, mask, upper, spot)
+    )
+    ((y, x),) = np.argwhere(spot)
+    found = toggle_piece(np.ascontiguousarray(mask), picture, (x, y))
+    np.testing.assert_array_equal(found, mask | upper)
+
+
+def test_a_picture_to_draw_on_is_the_same_of_linear_light():
+    linear = np.ones((2, 20, 20, 3), np.float32)
+    linear[:, 0, 0] = 0.1, 0.215, 0.5
+    picture = mask_picture(linear, transfer="linear")
+    assert picture[0, 0].tolist() == [89, 128, 188] and picture[1, 1].min() == 255
+    levels = np.rint(255 * srgb_encode(linear)).astype(np.uint8)
+    np.testing.assert_array_equal(mask_picture(levels), picture)

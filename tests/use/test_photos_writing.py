@@ -41,6 +41,8 @@ def test_known_values():
     known = np.float32([[-1, 0, 1], [0.5, -0.25, 2]])
     expected = [[0, 32768, 65535], [49151, 24576, 65535]]
     np.testing.assert_array_equal(encode_normals(known), expected)
+    broken = np.float32([[np.nan, np.inf, -np.inf]])
+    np.testing.assert_array_equal(encode_normals(broken), [[32768, 32768, 32768]])
 
 
 def test_png_is_exact_to_half_a_level_and_background_is_near_zero(tmp_path, normals):

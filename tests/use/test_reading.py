@@ -12,6 +12,7 @@ from unips_jax.capture import prepare
 from unips_jax.capture.motion import Motion
 from unips_jax.estimation.options import FolderOptions
 from unips_jax.estimation.reading import chosen_photographs, read_and_look
+from unips_jax.io.photographs import Capture
 from unips_jax.io.record import HashingReader
 
 ROOM = 3  # levels
@@ -101,3 +102,16 @@ def test_the_record_says_how_exif_turned_photographs(tmp_path, tag):
     for path in folder.iterdir():
         path.write_bytes(png_with_orientation(path.read_bytes(), tag))
     assert looked_at(folder, mask="none").facts["orientation"] == tag
+
+
+def test_how_far_a_photograph_moved_is_measured_at_the_middle(monkeypatch):
+    """A turn about it moves nothing there."""
+    images, whole = np.zeros((2, 40, 60, 3), np.uint8), np.ones((40, 60), bool)
+    turn, middle = np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([29.5, 19.5])
+    shift = middle - turn @ middle + (3, -2)
+    maps = np.stack([np.eye(2, 3), np.column_stack([turn, shift])])
+    motion = Motion(np.zeros((2, 2)), np.ones(2), 0, 1.5)
+    monkeypatch.setattr(prepare, "find_motion", lambda *_: motion)
+    monkeypatch.setattr(prepare, "register", lambda *_: (images, whole, maps))
+    _, found = prepare.in_place(Capture(images, whole, "srgb"))
+    np.testing.assert_allclose(found.offsets, [[0, 0], [3, -2]], atol=1e-9)

@@ -127,6 +127,17 @@ def test_a_mirror_under_a_lamp_loses_no_light(roughness):
     assert float(whole) == pytest.approx(1, abs=0.03 if roughness < 0.3 else 0.1)
 
 
+def test_a_perfect_mirror_is_a_very_smooth_one():
+    """Its highlight would be infinite."""
+    plane = np.broadcast_to(np.float32([0, 0, 1]), (2, 3, 3))
+    perfect, smooth = (
+        relight(plane, Materials(jnp.ones(3), roughness), lamp((0.0, 0, 1)))
+        for roughness in (0.0, 0.03)
+    )
+    assert np.isfinite(perfect).all()
+    np.testing.assert_array_equal(perfect, smooth)
+
+
 def test_harmonics_are_in_the_order_that_is_stated():
     """In `lights.json`: 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2."""
     x, y, z = 0.48, 0.6, 0.64

@@ -129,6 +129,10 @@ def test_the_command_uses_them(earlier, tmp_path, network_calls, capsys):
             "".join(f"{n}.png 0 0 1\n" for n in "abcd"),
             r"each of the 3 .* got 4, 0 of them",
         ),
+        (  # the numbers of an earlier object go on
+            "2.png 0 0 1\n3.png 0 1 1\n4.png 1 0 1\n",
+            r"got 3, 2 of them by name, none for 1\.png",
+        ),
         ("a.png 3 4\nb.png 4 4\nc.png 5 5\n", "expected directions, three numbers"),
         ("a.png 0 0 0\nb.png 0 1 1\nc.png 0 1 1\n", "got one of length 0"),
         ("a.png 0 0 1\nnothing\n", "line 2"),

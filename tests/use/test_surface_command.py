@@ -10,10 +10,11 @@ from plain_objects import hemisphere
 
 from unips_jax.cli.estimate import main as estimate
 from unips_jax.cli.surface import main as surface
+from unips_jax.errors import InputError
 from unips_jax.io.color import srgb_encode
 from unips_jax.io.normals import encode_normals
 from unips_jax.io.photographs import select
-from unips_jax.surface.outputs import photograph_colors
+from unips_jax.surface.outputs import focal_of, photograph_colors
 from unips_jax.viewer.page import notes_in
 
 trimesh = pytest.importorskip("trimesh", reason="the extra [mesh] is not installed")
@@ -214,6 +215,13 @@ def test_of_a_wire_all_is_written_but_the_mesh(tmp_path, capsys):
 def test_focal_without_depth_is_refused(tmp_path, capsys):
     assert estimate([str(tmp_path), "-o", str(tmp_path / "o"), "--focal", "9"]) == 2
     assert "--focal: expected a depth to use it for" in capsys.readouterr().err
+
+
+def test_pixels_of_a_focal_length_are_compared_with_the_longer_side():
+    for size in ((400, 100), (100, 400)):
+        assert focal_of("100", None, None, size) == 100
+        with pytest.raises(InputError, match="sees 127 degrees on 400 pixels"):
+            focal_of("99", None, None, size)
 
 
 def test_colours_of_linear_photographs_reach_white():

@@ -133,7 +133,12 @@ def test_perspective_vertices_lie_on_their_rays():
 
 @pytest.mark.parametrize(
     ("focal", "side", "depths"),
-    [(None, 1.0, (0, 30)), (None, 0.1, (0, 3)), (20.0, 1.0, (40, 100))],
+    [
+        (None, 1.0, (0, 30)),
+        (None, 0.1, (0, 3)),
+        (20.0, 1.0, (40, 100)),
+        (20.0, 1.0, (1, 3)),
+    ],
 )
 def test_jumps_are_not_bridged(focal, side, depths):
     depth = np.full((6, 8), depths[0], np.float32)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from unips_jax import integrate_image, integrate_normals
+from unips_jax.surface.integrate import Prior, finish
 from unips_jax.surface.islands import island_means, label_islands
 
 
@@ -70,3 +71,13 @@ def test_a_few_known_depths_hold_large_parts():
     ):
         for column, expected in ((50, 1000), (350, 1200), (600, 1100)):
             assert depth[20, column] == pytest.approx(expected, abs=0.05)
+
+
+def test_an_island_without_a_prior_lies_at_the_others_mean():
+    depth = jnp.array([[1.0, 3.0, 0.0, 5.0, 9.0]])
+    inside = jnp.array([[True, True, False, True, True]])
+    weight = jnp.array([[0.5, 0.5, 0.0, 0.0, 0.0]])
+    labels = jnp.array([[0, 0, 2, 3, 3]], jnp.int32)
+    prior = Prior(depth, weight, jnp.zeros((1, 5)))
+    found = finish(depth, inside, prior, jnp.float32(10), labels, None)
+    np.testing.assert_allclose(found, [[11, 13, 0, 8, 12]])

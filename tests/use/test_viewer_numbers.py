@@ -11,7 +11,8 @@ import pytest
 from known_results import decoded
 from node_calls import printed
 
-from unips_jax.viewer.layers import layers_of, view_of
+from unips_jax.viewer.layers import View, layers_of, view_of, white_of
+from unips_jax.viewer.result import Result
 
 ROOT = Path(__file__).resolve().parents[2]
 ASSETS = ROOT / "unips_jax" / "viewer" / "assets"
@@ -86,3 +87,21 @@ def test_what_is_unsure_is_bright():
     expected = np.clip(spread[view.rows, view.columns] / found["top"], 0, 1)
     levels = decoded(found["image"])[..., 0] / 255
     np.testing.assert_allclose(levels[inside], expected[inside], atol=0.003)
+
+
+def test_the_cameras_axis_is_where_it_was_in_a_smaller_page():
+    """A pixel of the page is the middle of four of the result's."""
+    normals = np.zeros((60, 80, 3), np.float32)
+    normals[4:36, 10:50] = 0, 0, 1
+    result = Result("thing", normals, focal=100.0)
+    half = View(slice(4, 36), slice(10, 50), width=20, height=16)
+    camera = layers_of(result, half)["camera"]
+    assert (camera["column"], camera["row"]) == (14.5, 12.5)
+    assert camera["focal"] == 50
+
+
+def test_white_is_the_objects_not_its_surroundings():
+    linear = np.full((20, 20, 3), 8.0)
+    linear[5:9, 5:9] = 0.1, 0.2, 0.4
+    assert white_of(linear, linear[..., 0] < 1) == pytest.approx(0.4)
+    assert white_of(linear, np.zeros((20, 20), bool)) == 8
