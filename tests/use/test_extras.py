@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import trimesh
 from colour_profiles import P3
 from estimate_runs import pot, run
 from lamp_photographs import (
@@ -124,6 +123,8 @@ def test_all_is_everything():
 
 
 def test_a_mesh_has_the_base_colour(tmp_path):
+    reason = "the extra [mesh] is not installed"
+    trimesh = pytest.importorskip("trimesh", reason=reason)
     color = np.where(MASK[..., None], np.float32([0.5, 0.2, 0.05]), 0)
     write_base_color(tmp_path, color)
     given = photographs(), MASK, "linear", NORMALS.astype(np.float32)

@@ -11,6 +11,7 @@ from picture_files import noise, read, smooth
 from tiff_writer import COMPRESSIONS, tiff
 
 from unips_jax.errors import InputError
+from unips_jax.io.formats import lzw
 from unips_jax.io.formats.lzw import begins_soundly
 
 # Samples of a pixel: how many colours, and what other kinds there are.
@@ -193,8 +194,10 @@ def test_lzw_that_begins_with_what_is_not_there_is_refused(tmp_path, before, lat
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr("tiff_writer.COMPRESSIONS", compressions)
                 file = tiff([{"pixels": pixels, "compression": "bad"}])
-            with pytest.raises(InputError, match=r"a\.tif: .*LZW"):
-                read(tmp_path / "a.tif", file)
+                # A newer decoder ends where a strip is full, before what is bad.
+                patch.setattr(lzw, "TRUSTING", True)
+                with pytest.raises(InputError, match=r"a\.tif: .*LZW"):
+                    read(tmp_path / "a.tif", file)
 
 
 def test_sound_lzw_is_told_by_short_data_too():
