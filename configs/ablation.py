@@ -3,12 +3,11 @@ r"""What further parts and losses gain, from the shipped weights: one arm of fou
     unips train --config ablation --init-weights tiny --workdir runs/nothing
     unips train --config ablation --init-weights tiny --workdir runs/fine \
         --model.fine-dim 32
-    unips train --config ablation --init-weights tiny --workdir runs/light \
-        --model.light-tokens --data.pixel-blocks \
-        --train.steepness-weight 1 --train.differences-weight 0.1
+    unips train --config ablation --init-weights tiny --workdir runs/blocks \
+        --data.pixel-blocks --train.steepness-weight 1 --train.differences-weight 0.1
     unips train --config ablation --init-weights tiny --workdir runs/all \
-        --model.fine-dim 32 --model.light-tokens --data.pixel-blocks \
-        --train.steepness-weight 1 --train.differences-weight 0.1
+        --model.fine-dim 32 \
+        --data.pixel-blocks --train.steepness-weight 1 --train.differences-weight 0.1
 
 What: every arm sees the same scenes, larger than those of `configs/tiny.py` so that
 there is detail to see; its new parts begin without a change to the network. A run that

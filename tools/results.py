@@ -51,7 +51,6 @@ README_ROWS = (
     ("`unips demo`, one more", 8, "demo", ("8",)),
     ("256 held-out scenes, all lights and materials", 8, "held-out", ("8",)),
     ("The same, from one image", 1, "held-out", ("1",)),
-    ("64 of uniform material under directional light", 8, "uniform", ("8",)),
 )
 # What is shown of other weights: title, measurement and its column.
 HEADLINES = (

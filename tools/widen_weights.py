@@ -1,23 +1,19 @@
 """Widens the shipped weights: twice the channels, almost the same function.
 
-    python tools/widen_weights.py tiny -o small-begin.safetensors
-    python tools/widen_weights.py tiny --consensus -o long-begin.safetensors
+    python tools/widen_weights.py tiny -o begin.safetensors
 
-A run of `configs/small.py` begins from the first, one of `configs/long.py` from the
-second (`--init-weights`). Every channel becomes two that carry the same; a kernel's
-rows for the two sum to what the one row was. They differ by random numbers, so that
-training tells the two channels apart. With `--consensus` these are the channels of
-`models.consensus`, and the network is the same function. Without, all double, windows
-and the encoder's images become those of `ModelConfig.small`, tables of relative
-positions are stretched linearly. What differs then is the larger image, and the weight
-of a pixel's three colours in one LayerNorm.
+A run of `configs/small.py` begins from them (`--init-weights`). Every channel becomes
+two that carry the same; a kernel's rows for the two sum to what the one row was. They
+differ by random numbers, so that training tells the two channels apart. Windows and the
+encoder's images become those of `ModelConfig.small`, tables of relative positions are
+stretched linearly. What differs then is the larger image, and the weight of a pixel's
+three colours in one LayerNorm.
 
 Source: Samragh et al., "Scaling Smart: Accelerating Large Language Model Pre-training
 with Small Model Initialization", 2024.
 """
 
 import argparse
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,41 +23,39 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 
 from unips_jax.console import command
 from unips_jax.errors import InputError
-from unips_jax.models.config import ModelConfig, SelfCalibratingConfig
+from unips_jax.models.config import ModelConfig
+from unips_jax.models.light_tokens import TOKENS
 from unips_jax.models.network import Params, UniversalNetwork, param_shapes
 from unips_jax.weights import load_weights, save_weights, weights_record
 
-# How much the rows of two equal channels differ, in standard deviations of the kernel.
-_SPREAD = 0.5
+_SPREAD = 0.5  # of the rows of two equal channels, see `_widen_kernel`
 
 # A part of an axis: how many channels, and whether they double.
 Part = tuple[int, bool]
 
-
-# What reads the contexts in the consensus, and what changes them.
-_READS_CONTEXTS = ("norm_contexts", "each", "pooled", "whole")
-_CHANGES_CONTEXTS = ("change_shape", "change_light")
+# Layers whose outputs do not double: normals, lights and kinds of light.
+_GUESSES = ("normals", "lights", "around", "near", "distant")
 
 
-def _parts_in(layer: str, size: int, width: int | None) -> list[Part]:
+def _parts_in(layer: str, size: int, width: int) -> list[Part]:
     """What an input's channels are made of: pixels' values, or features in rows.
 
     Args:
         layer: path of the layer.
         size: channels.
-        width: channels of the contexts; None where these do not double.
+        width: channels of the contexts.
     """
     name = layer.rsplit(".", 1)[-1]
-    if width is None and name in _READS_CONTEXTS:
+    if name in ("conv0", "place", "embed"):
         return [(size, False)]
-    if name in ("conv0", "place") or layer.endswith("observation.embed"):
-        return [(size, False)]
-    if "layer0." in layer and width and size == 3 + width:
+    if "layer0." in layer and size == 3 + width:
         return [(3, False), (width, True)]
-    if name == "fpn_bottleneck" and width:
+    if name == "fpn_bottleneck":
         return [(width, True)] * (size // width)
-    if name == "ppm_bottleneck" and width:
+    if name == "ppm_bottleneck":
         return [(size - 2 * width, True), (width, True), (width, True)]
+    if layer.endswith("tokens.change"):
+        return [(size // TOKENS, True)] * TOKENS
     if "merging" in layer:
         return [(size // 4, True)] * 4
     if name in ("pooled", "pooled_lit", "whole"):
@@ -69,14 +63,13 @@ def _parts_in(layer: str, size: int, width: int | None) -> list[Part]:
     return [(size, True)]
 
 
-def _parts_out(layer: str, size: int, width: int | None) -> list[Part]:
+def _parts_out(layer: str, size: int) -> list[Part]:
     """What an output's channels are made of; arguments as in `_parts_in`."""
     name = layer.rsplit(".", 1)[-1]
-    if width is None and name in _CHANGES_CONTEXTS:
+    if name in _GUESSES or layer.endswith("prediction.fc2"):
         return [(size, False)]
-    if name in ("normals", "lights") or layer.endswith("prediction.fc2"):
-        return [(size, False)]
-    count = {"qkv": 3, "known": 2, "change": 2}.get(name, 1)
+    two = name == "known" or layer.endswith("observation.change")
+    count = 3 if name == "qkv" else 2 if two else 1
     return [(size // count, True)] * count
 
 
@@ -96,6 +89,7 @@ def _widen_kernel(
     rows: Sequence[Part],
     columns: Sequence[Part],
     random: np.random.Generator,
+    spread: float,
 ) -> np.ndarray:
     """A kernel `[..., in, out]` between doubled channels, `[..., 2 in, 2 out]`.
 
@@ -104,13 +98,14 @@ def _widen_kernel(
         rows: what its inputs are made of; those that do not double keep their rows.
         columns: the same of its outputs.
         random: tells the rows of equal channels apart.
+        spread: how much, in standard deviations of the kernel.
     """
     narrow, sign = _index(rows)
     column, _ = _index(columns)
     share = np.where(sign == 0, 1.0, 0.5)[:, None]
     wide = kernel[..., column][..., narrow, :] * share
     shape = (*kernel.shape[:-1], column.size)
-    apart = random.normal(0, 0.5 * _SPREAD * kernel.std(), shape)
+    apart = random.normal(0, 0.5 * spread * kernel.std(), shape)
     return (wide + sign[:, None] * apart[..., narrow, :]).astype(np.float32)
 
 
@@ -131,22 +126,10 @@ def widen(params: Params, width: int, window: int, seed: int = 0) -> Params:
     return unflatten_dict(wide, sep=".")
 
 
-def widen_consensus(params: Params, seed: int = 0) -> Params:
-    """The parameters of the same network with a consensus twice as wide."""
-    random = np.random.default_rng(seed)
-    wide = {
-        name: _widen(name, np.asarray(value), None, 0, random)
-        if ".consensus." in name
-        else value
-        for name, value in flatten_dict(params, sep=".").items()
-    }
-    return unflatten_dict(wide, sep=".")
-
-
 def _widen(
     name: str,
     value: np.ndarray,
-    width: int | None,
+    width: int,
     window: int,
     random: np.random.Generator,
 ) -> np.ndarray:
@@ -159,30 +142,15 @@ def _widen(
         return np.tile(square.reshape(-1, value.shape[1]), 2)
     if kind == "kernel":
         rows = _parts_in(layer, value.shape[-2], width)
-        columns = _parts_out(layer, value.shape[-1], width)
-        return _widen_kernel(value, rows, columns, random)
+        columns = _parts_out(layer, value.shape[-1])
+        # Lights that are known move features by this kernel's pseudoinverse: equal
+        # rows keep that the same.
+        spread = 0.0 if layer.endswith("consensus.lights") else _SPREAD
+        return _widen_kernel(value, rows, columns, random, spread)
     size, name = value.shape[-1], layer.rsplit(".", 1)[-1]
     norm = name.startswith("norm") and name != "normals"
-    parts = (_parts_in if norm else _parts_out)(layer, size, width)
+    parts = _parts_in(layer, size, width) if norm else _parts_out(layer, size)
     return value[..., _index(parts)[0]]
-
-
-def _widened(narrow: UniversalNetwork, consensus: bool, seed: int) -> UniversalNetwork:
-    """The wide network; `InputError` says what was expected of the narrow one."""
-    config = narrow.config
-    if not consensus:
-        small = ModelConfig.small()
-        wide = widen(narrow.params, config.context_dim, small.window_size, seed)
-        shapes = {name: x.shape for name, x in flatten_dict(wide, sep=".").items()}
-        if shapes != param_shapes(small):
-            raise InputError("weights half as wide as `small`")
-        return UniversalNetwork(small, wide)
-    if not isinstance(config, SelfCalibratingConfig) or (
-        config.light_tokens or config.known_lights
-    ):
-        raise InputError("our network without light_tokens and known_lights")
-    wider = dataclasses.replace(config, consensus_dim=2 * config.consensus_dim)
-    return UniversalNetwork(wider, widen_consensus(narrow.params, seed))
 
 
 @command
@@ -193,17 +161,20 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("weights", help="shipped name or file of narrow weights")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--consensus", action="store_true", help="only its channels")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
-    narrow = load_weights(arguments.weights)
-    try:
-        wide = _widened(narrow, arguments.consensus, arguments.seed)
-    except InputError as error:
-        message = f"{arguments.weights}: expected {error}, such as tiny, got others"
-        raise InputError(message) from None
+    narrow, small = load_weights(arguments.weights), ModelConfig.small()
+    wide = widen(
+        narrow.params, narrow.config.context_dim, small.window_size, arguments.seed
+    )
+    shapes = {name: x.shape for name, x in flatten_dict(wide, sep=".").items()}
+    if shapes != param_shapes(small):
+        raise InputError(
+            f"{arguments.weights}: expected weights half as wide as `small`, such as "
+            "tiny, got others"
+        )
     record = {"widened": weights_record(arguments.weights)["hash"]}
-    save_weights(arguments.output, wide, record=record)
+    save_weights(arguments.output, UniversalNetwork(small, wide), record=record)
     print(f"wrote {arguments.output}")
 
 

@@ -100,7 +100,7 @@ def test_settings_of_known_lights_that_do_not_fit_are_refused():
     for data, wrong in (
         (dict(known_lights_rate=1.5), r"a share in \[0, 1\]"),
         (dict(known_lights_rate=0.3, source="scenes"), "no augment"),
-        (dict(known_lights_rate=0.3, augment=False), "expected scenes"),
+        (dict(known_lights_rate=0.3, source="mixture"), "no augment"),
     ):
         with pytest.raises(ValueError, match=wrong):
             DataConfig(**data)

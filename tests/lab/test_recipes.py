@@ -66,6 +66,16 @@ def test_finetuning_begins_from_the_shipped_network():
     weights = dict(zip(MATERIALS, config.scenes.material_weights, strict=True))
     assert weights["metal"] == pytest.approx(0.5) == sum(weights.values()) / 2
     assert config.train.seed != tiny.train.seed  # scenes seen once are remembered
+    for source in ("mixture", "folders"):  # that know no lights
+        data = dataclasses.replace(config.data, source=source, root="mine")
+        assert dataclasses.replace(config, data=data).data.known_lights_rate == 0.3
+
+
+@pytest.mark.parametrize("name", ["ablation", "finetune", "long", "small", "tiny"])
+def test_our_recipes_use_all_parts_of_the_network(name):
+    config = load_config(name)
+    assert config.model.light_tokens and config.train.kinds_guess_weight > 0
+    assert config.model.known_lights and config.data.known_lights_rate > 0
 
 
 def test_help_names_what_weights_are_of_in_their_order():

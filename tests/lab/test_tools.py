@@ -4,19 +4,20 @@ import dataclasses
 import json
 import runpy
 import sys
+from functools import partial
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from flax.serialization import from_state_dict, to_bytes
-from flax.traverse_util import flatten_dict
+from flax.traverse_util import flatten_dict, unflatten_dict
 from reference_arrays import made_up, official_arrays
 from small_networks import SMALL, SMALL_OURS, lively_network, lively_weights
 
 from unips_jax.evaluation.methods import UnipsOptions, load_variants
-from unips_jax.models.network import EncoderDecoder, param_shapes
-from unips_jax.models.self_calibrating import Encoder
+from unips_jax.models.config import ModelConfig
+from unips_jax.models.network import EncoderDecoder, param_shapes, read_contexts
 from unips_jax.weights import load_weights, random_weights, save_weights, weights_record
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
@@ -232,8 +233,11 @@ def test_gcnet_trains_and_its_file_is_a_method(tmp_path, monkeypatch):
 
 
 def test_widened_networks_are_the_same_function():
+    """But for a pixel's colours: normals, and the guesses by known lights."""
     widen = runpy.run_path(str(TOOLS / "widen_weights.py"))["widen"]
-    narrow = dataclasses.replace(SMALL_OURS, patch_channels=(4, 6))
+    narrow = dataclasses.replace(
+        SMALL_OURS, patch_channels=(4, 6), light_tokens=True, known_lights=True
+    )
     twice = ("embed_dim", "context_dim", "hidden_dim", "aggregation_mlp_dim")
     twice += ("pma_mlp_dim", "predictor_dim", "ratio_dim", "consensus_dim")
     twice += ("observation_dim", "communication_heads", "aggregation_heads")
@@ -254,37 +258,38 @@ def test_widened_networks_are_the_same_function():
     images = jax.random.uniform(jax.random.key(0), (3, 16, 16, 4))
     pixels = jax.random.uniform(jax.random.key(1), (5, 3, 3))
     places = jax.numpy.linspace(0.0, 3.0, 5)
-    inputs = images, pixels, places, places
-    expected = jax.jit(EncoderDecoder(narrow).apply)({"params": params}, *inputs)
-    found = jax.jit(EncoderDecoder(wide).apply)({"params": made}, *inputs)
-    np.testing.assert_allclose(found, expected, atol=2e-4)
+    lights = jax.numpy.array([[0.6, 0.0, 0.8], [0.0, -0.5, 0.6], [0.0, 0.0, 0.0]])
+
+    def outputs(module, lights):
+        encoded = module.encode(images, lights=lights)
+        cells = jax.numpy.moveaxis(encoded.contexts, 0, 2)
+        read = read_contexts(cells, places, places, config=module.config)
+        return module.decode(pixels, read), encoded.guesses
+
+    def found(config, params):
+        apply = jax.jit(partial(EncoderDecoder(config).apply, method=outputs))
+        return [
+            jax.tree.leaves(apply({"params": params}, x)) for x in (lights, 0 * lights)
+        ]
+
+    expected = found(narrow, params)
+    for old, new in zip(expected, found(wide, made), strict=True):
+        for x, y in zip(old, new, strict=True):
+            np.testing.assert_allclose(y, x, atol=3e-4)
+    for x, y in zip(*expected, strict=True):  # known lights do count
+        assert np.abs(x - y).max() > 1e-3
     # Twins differ in their rows.
     kernel = made["decoder"]["prediction"]["fc1"]["kernel"]
     assert np.abs(kernel[:12] - kernel[12:]).min() > 0
 
 
-def test_a_consensus_twice_as_wide_is_the_same_function():
-    widen = runpy.run_path(str(TOOLS / "widen_weights.py"))["widen_consensus"]
-    wide = dataclasses.replace(SMALL_OURS, consensus_dim=2 * SMALL_OURS.consensus_dim)
-    params = lively_weights(SMALL_OURS)
-    made = widen(params)
-    shapes = {name: x.shape for name, x in flatten_dict(made, sep=".").items()}
-    assert shapes == param_shapes(wide)
-    images = jax.random.uniform(jax.random.key(0), (3, 16, 16, 4))
-    before, made_of = (
-        jax.jit(Encoder(config).apply)({"params": x["encoder"]}, images)
-        for config, x in ((SMALL_OURS, params), (wide, made))
-    )
-    for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(made_of), strict=True):
-        np.testing.assert_allclose(new, old, atol=1e-5)
-    # The consensus does change the contexts, and twins differ in their rows.
-    still = jax.tree.map(lambda x: 0.0 * x, params["encoder"]["consensus"])
-    without = {"params": {**params["encoder"], "consensus": still}}
-    contexts = jax.jit(Encoder(SMALL_OURS).apply)(without, images).contexts
-    assert np.abs(contexts - before.contexts).max() > 0.05
-    twins = made["encoder"]["consensus"]["from_light"]["kernel"]
-    width = SMALL_OURS.consensus_dim
-    assert np.abs(twins[:width] - twins[width:]).min() > 0
+def test_tiny_widened_is_small():
+    widen = runpy.run_path(str(TOOLS / "widen_weights.py"))["widen"]
+    tiny, small = ModelConfig.tiny(), ModelConfig.small()
+    shapes = {name: np.zeros(x, np.float32) for name, x in param_shapes(tiny).items()}
+    made = widen(unflatten_dict(shapes, sep="."), tiny.context_dim, small.window_size)
+    wide = {name: x.shape for name, x in flatten_dict(made, sep=".").items()}
+    assert wide == param_shapes(small)
 
 
 def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
@@ -294,12 +299,6 @@ def test_only_weights_half_as_wide_are_widened(tmp_path, capsys):
     assert main([str(tmp_path / "own.safetensors"), "-o", str(output)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "half as wide as `small`" in error
-    tokens = dataclasses.replace(SMALL_OURS, light_tokens=True)
-    save_weights(tmp_path / "own.safetensors", lively_network(tokens))
-    own = str(tmp_path / "own.safetensors")
-    assert main([own, "--consensus", "-o", str(output)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "without light_tokens" in error
     assert not output.exists()
 
 

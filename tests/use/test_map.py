@@ -1,5 +1,6 @@
 """The map's list of the files that photographs pass through, held against a run."""
 
+import dataclasses
 import json
 import os
 import re
@@ -14,6 +15,8 @@ from small_networks import SHALLOW_OURS, lively_network
 from unips_jax.weights import save_weights
 
 ROOT = Path(__file__).parents[2]
+# Small, with the parts of the shipped network.
+AS_SHIPPED = dataclasses.replace(SHALLOW_OURS, light_tokens=True, known_lights=True)
 
 # Prints the files whose functions are called (bodies of classes and modules are none),
 # in the order of their first calls.
@@ -42,7 +45,7 @@ def files_called(tmp_path):
         light = np.clip((x * right + y * down + z) * 200, 0, 255) * inside
         cv2.imwrite(str(folder / f"{i}.png"), light.astype(np.uint8))
     cv2.imwrite(str(folder / "mask.png"), inside.astype(np.uint8) * 255)
-    save_weights(tmp_path / "small.safetensors", lively_network(SHALLOW_OURS))
+    save_weights(tmp_path / "small.safetensors", lively_network(AS_SHIPPED))
     asked = [str(folder), "-o", str(tmp_path / "out")]
     asked += ["--weights", str(tmp_path / "small.safetensors")]
     run = subprocess.run(

@@ -190,7 +190,7 @@ class ModelConfig:
 
     @staticmethod
     def tiny() -> "SelfCalibratingConfig":
-        """Our network in the size of the shipped weights: 7 M parameters."""
+        """Our network in the size of the shipped weights: 12 M parameters."""
         return SelfCalibratingConfig(
             canonical_size=96,
             patch_channels=(24, 64),
@@ -203,7 +203,7 @@ class ModelConfig:
             context_dim=64,
             pool_scales=(1, 2),
             consensus_blocks=6,
-            consensus_dim=128,
+            consensus_dim=256,
             observation_dim=64,
             hidden_dim=128,
             aggregation_heads=4,
@@ -211,11 +211,13 @@ class ModelConfig:
             pma_mlp_dim=256,
             predictor_dim=128,
             dropout_rate=0.0,
+            light_tokens=True,
+            known_lights=True,
         )
 
     @staticmethod
     def small() -> "SelfCalibratingConfig":
-        """Our network for one GPU, `tiny` twice as wide: 27 M parameters."""
+        """Our network for one GPU, `tiny` twice as wide: 49 M parameters."""
         return SelfCalibratingConfig(
             canonical_size=128,
             patch_channels=(48, 128),
@@ -229,7 +231,7 @@ class ModelConfig:
             context_dim=128,
             pool_scales=(1, 2),
             consensus_blocks=6,
-            consensus_dim=256,
+            consensus_dim=512,
             observation_dim=128,
             hidden_dim=256,
             aggregation_heads=8,
@@ -237,6 +239,8 @@ class ModelConfig:
             pma_mlp_dim=512,
             predictor_dim=256,
             dropout_rate=0.0,
+            light_tokens=True,
+            known_lights=True,
         )
 
 

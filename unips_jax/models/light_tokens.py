@@ -16,6 +16,7 @@ from jax.typing import DTypeLike
 from unips_jax.models.set_attention import PMA, SAB, dense, layer_norm
 
 _KINDS, _REGISTERS = 3, 4  # surroundings, near lamp, distant lamp
+TOKENS = _KINDS + _REGISTERS  # of an image
 _QUERY_CHUNK = 512  # tokens of a large set that attend to all of them at a time
 
 
@@ -44,7 +45,6 @@ class LightTokens(nn.Module):
     ) -> tuple[Array, LightGuess]:
         """The light `[B, N, F]`, changed by cells `[B, N, T, F]`, and the guesses."""
         batch, images = light.shape[:2]
-        count = _KINDS + _REGISTERS
         options: dict[str, Any] = dict(
             features=self.features,
             num_heads=self.features // 32,
@@ -52,14 +52,14 @@ class LightTokens(nn.Module):
             attention="pre_norm",
             dtype=self.dtype,
         )
-        tokens = PMA(num_seeds=count, name="read", **options)(cells, None, True)
+        tokens = PMA(num_seeds=TOKENS, name="read", **options)(cells, None, True)
         tokens = tokens + dense(self.features, self.dtype, "light")(light)[:, :, None]
-        tokens = tokens.reshape(batch, images * count, self.features)
-        members = None if valid is None else jnp.repeat(valid, count)
+        tokens = tokens.reshape(batch, images * TOKENS, self.features)
+        members = None if valid is None else jnp.repeat(valid, TOKENS)
         share = SAB(name="share", query_chunk=_QUERY_CHUNK, **options)
         tokens = share(tokens, members, True)
         tokens = layer_norm(self.dtype, "norm")(tokens)
-        tokens = tokens.reshape(batch, images, count, self.features)
+        tokens = tokens.reshape(batch, images, TOKENS, self.features)
 
         around, near, distant = (tokens[:, :, i] for i in range(_KINDS))
         harmonics = dense(27, self.dtype, "around")(around)

@@ -43,7 +43,7 @@ class DataConfig:
             upside down, so that a network cannot learn that skies and lamps are above;
             configurations that train on endless scenes do without.
         known_lights_rate: share of the sets whose lights the network is given, roughly
-            or exactly (see `training.known_lights`); scenes without `augment` only.
+            or exactly (see `training.known_lights`); of scenes alone.
         workers: processes that read folders; 0 reads in the training process.
     """
 
@@ -95,9 +95,9 @@ class DataConfig:
             f"{self.known_lights_rate}",
         )
         require(
-            not (self.known_lights_rate and (self.augment or self.source == "folders")),
-            "known_lights_rate: expected scenes and no augment (--data.no-augment) "
-            "with it, got others",
+            not self.known_lights_rate or not self.augment or self.source == "folders",
+            "known_lights_rate: expected no augment (--data.no-augment) with scenes, "
+            "whose lights it would not turn, got both",
         )
 
     def pixels_for(self, num_images: int) -> int:
@@ -270,7 +270,7 @@ class Config:
         require(
             getattr(self.model, "known_lights", False) or not data.known_lights_rate,
             "known_lights_rate: expected a network that knows lights "
-            "(--model.known-lights), got another",
+            "(--model.known-lights), got another; or set it to 0",
         )
         require(
             not (

@@ -28,7 +28,7 @@ from . import lights, relief
 bl_info = {
     "name": "UniPS: material from photographs",
     "author": "The unips_jax authors",
-    "version": (0, 3, 0),
+    "version": (0, 4, 0),
     "blender": (4, 2, 0),
     "location": "File > Import > Photographs (UniPS)",
     "category": "Import-Export",
